@@ -86,8 +86,8 @@ def estimate(
     temperature
         The temperature, if the log has none, such as "23 degC".
     lag
-        The lag of the maps behind the measured temperature: a time, "none", "fit" to estimate it, or "auto" to estimate
-        it and to use it if the data show a lag.
+        The lag of the maps behind the measured temperature: a time, "none", or "auto" to estimate it and to use it if
+        the data show a lag.
     clock
         The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
         the spec states; if the spec states none and the log has both clocks, the computer's.
@@ -98,7 +98,7 @@ def estimate(
     from gradcal_jax.recipe.recipe import spec_in
 
     drawable(plot)
-    lag_s = lag if lag in ("auto", "fit") else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
+    lag_s = lag if lag == "auto" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
     if not isinstance(lag_s, str) and lag_s < 0.0:
         raise ValueError(f"--lag {lag!r}: must not be negative")
     if clock not in (None, "sensor", "host"):

@@ -65,13 +65,6 @@ def fit_rows(tests: Iterable[tuple[str, Test]]) -> tuple[FitTest, ...]:
     )
 
 
-def judged_by_data(row: RequirementRow, beyond: str | None, contradicted: Sequence[str]) -> RequirementRow:
-    """A requirement as an estimate meets it: no verdict where the data lack what it asks for (`beyond`), or contradict
-    the model."""
-    verdict = "not covered" if beyond and row.verdict in ("met", "missed") else row.verdict
-    return row.model_copy(update={"verdict": "not valid" if contradicted else verdict})
-
-
 def result_of_requirement(row: RequirementRow) -> Result:
     """A requirement in a calibration file."""
     values: dict[str, Any] = {"value": row.judged, "worst": row.worst, "target": row.target, "verdict": row.verdict}

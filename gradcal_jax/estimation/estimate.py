@@ -4,7 +4,7 @@ The spec describes the noise, the table and the terms; the executed motion is re
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -13,50 +13,29 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.estimation import Consistency, ExecutedImu, ImuEstimate, Test
-from gradcal_jax.estimation.added_columns import (
-    Beside,
-    Whitener,
-    angle_columns,
-    angle_tests,
-    backlash_sentences,
-    halves_test,
-    latitude_test,
-    structure_tests,
-)
+from gradcal_jax.estimation.added_columns import Whitener, added_tests, halves_test
 from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
-from gradcal_jax.estimation.calibration_rows import coefficient_rows, judged_by_data
+from gradcal_jax.estimation.calibration_of_fit import Judged, Range, calibration_of
+from gradcal_jax.estimation.calibration_rows import coefficient_rows
 from gradcal_jax.estimation.findings import (
     FitFinding,
     RecordFaults,
     beyond_the_data,
     beyond_the_spec,
     failed,
+    goes_one_way,
     lacks_of,
     omitted_sentences,
     refuse_other_units,
     sentences_of,
-    turned_together,
     without_bad_rows,
 )
-from gradcal_jax.estimation.fit_of_log import (
-    FittedRows,
-    Recorded,
-    calibration_of,
-    fit_of,
-    points_of,
-)
-from gradcal_jax.estimation.lag_of_maps import Lag
+from gradcal_jax.estimation.fit_of_log import FittedRows, fit_of, points_of
+from gradcal_jax.estimation.lag_of_maps import Fit, Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_options
-from gradcal_jax.information import segments_of
 from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
 from gradcal_jax.information.prediction import requirement_row
-from gradcal_jax.information.unseen import (
-    EstimatedRun,
-    answers_of,
-    budget_of_estimate,
-    omitted_noise_of_imu,
-    unseen_errors,
-)
+from gradcal_jax.information.unseen import EstimatedRun, answers_of, budget_of_estimate, omitted_noise_of_imu
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.model import AXIS_NAMES, ImuModel
 from gradcal_jax.model.build import BuiltImu, build_imu
@@ -74,8 +53,6 @@ from gradcal_jax.units import DEG_PER_S
 
 # Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
-# Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
-_ONE_WAY = 0.8
 CHI_SQUARED, HEATING_AGAINST_COOLING = "chi-squared of the fit", "heating against cooling"
 _LOOP = (
     "heating and cooling disagree: the errors depend on past temperatures; add to the spec the term that describes it: "
@@ -144,16 +121,12 @@ class EstimateReport(NamedTuple):
     @property
     def messages(self) -> dict[str, tuple[str, ...]]:
         """By sensor: sentences to read before its calibration is used."""
-        return self._by_sensor(lambda one: one.messages)
+        return {one.unit: one.messages for one in self.sensors}
 
     @property
     def verdicts(self) -> dict[str, tuple[RequirementRow, ...]]:
         """The requirements by sensor."""
-        return self._by_sensor(lambda one: one.requirements)
-
-    def _by_sensor(self, of: Callable[[SensorEstimate], tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
-        names = dict.fromkeys(one.unit for one in self.sensors)
-        return {name: tuple(row for one in self.sensors if one.unit == name for row in of(one)) for name in names}
+        return {one.unit: one.requirements for one in self.sensors}
 
     @property
     def as_wished(self) -> bool:
@@ -188,36 +161,6 @@ def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     return along_axis(spec, cast("Axis", log.axes[0])) if alone and log.axes[0] in AXIS_NAMES else spec
 
 
-class _Prepared(NamedTuple):
-    """Logs without bad rows, ready for the fits of the sensors `names`."""
-
-    built: BuiltImu
-    logs: Sequence[Log]
-    names: Sequence[str]
-    options: Options
-    said: Sequence[str]
-    lacks: str | None
-    faults: Mapping[str, RecordFaults]
-    noise: dict[str, np.ndarray]
-
-    def estimates(self, sources: dict[str, str]) -> Iterator[SensorEstimate]:
-        """The estimate of every sensor by itself; errors say what else is wrong with its log."""
-        for name in self.names:
-            shown, progress = self.faults[name], self.options.progress
-            try:
-                progress(f"IMU {name}: rows of the log")
-                recorded = Recorded(*imu_rows(self.built, self.logs, name, self.options))
-                fitted = fit_of(self.built, name, recorded, self.options)
-                progress(f"IMU {name}: tests of the fit")
-                report = report_of(fitted, self.logs, name, self.options, sources, self.noise, shown)
-            except LogError as error:
-                raise LogError("; ".join([str(error), *shown.sentences])) from None
-            if self.lacks is not None:
-                report = report._replace(calibration=report.calibration.model_copy(update={"lacks": self.lacks}))
-            lacks = [self.lacks] if self.lacks else []
-            yield report._replace(messages=(*lacks, *self.said, *shown.sentences, *report.messages))
-
-
 def estimate_sensors(
     spec: Spec,
     logs: Sequence[Log],
@@ -230,7 +173,7 @@ def estimate_sensors(
     IMU at a place of a fixture, in one log or in one each, is estimated by itself."""
     options, sources = options or Options(), sources or {}
     if not spec.rig.table.place:
-        return list(_prepared(spec, logs, units, options).estimates(sources))
+        return list(_estimates(spec, logs, units, options, sources))
     names = dict.fromkeys(name for log in logs for name in log.units)
     if unknown := [name for name in units if name not in names]:
         raise LogError(f"no IMU has the name {unknown[0]}: the logs have {', '.join(names)}")
@@ -238,11 +181,14 @@ def estimate_sensors(
     found = list[SensorEstimate]()
     for name in units or names:
         own = [log for log in logs if name in log.units]
-        found += _prepared(at[where[name]], own, [name], options).estimates(sources)
+        found += _estimates(at[where[name]], own, [name], options, sources)
     return found
 
 
-def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options) -> _Prepared:
+def _estimates(
+    spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options, sources: dict[str, str]
+) -> Iterator[SensorEstimate]:
+    """The estimate of every sensor by itself; errors say what else is wrong with its log."""
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
@@ -259,10 +205,21 @@ def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Op
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     built = build_imu(spec)
     logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
-    return _Prepared(built, logs, names, options, said, lacks, faults, omitted_noise_of_imu(built))
+    noise = omitted_noise_of_imu(built)
+    said = [*([lacks] if lacks else []), *said]
+    for name in names:
+        shown, progress = faults[name], options.progress
+        try:
+            progress(f"IMU {name}: rows of the log")
+            rows, messages = imu_rows(built, logs, name, options)
+            fitted = fit_of(built, name, rows, options, (*said, *shown.sentences, *messages))
+            progress(f"IMU {name}: tests of the fit")
+            yield _report_of(fitted, logs, name, options, sources, noise, shown, lacks)
+        except LogError as error:
+            raise LogError("; ".join([str(error), *shown.sentences])) from None
 
 
-def report_of(
+def _report_of(
     fitted: FittedRows,
     logs: Sequence[Log],
     name: str,
@@ -270,59 +227,50 @@ def report_of(
     sources: dict[str, str],
     noise: dict[str, np.ndarray],
     shown: RecordFaults,
+    lacks: str | None,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, (rows, messages), temperature, fit, lag = fitted
-    stable, model = isinstance(built.spec.plan, StandardPlan), built.model
+    built, rows, temperature, fit, lag, messages = fitted
     done, readings, solution, rates = fit
-    if stable:
-        messages = *messages, *points_of(built, rows).sentences
-    at, used = segments_of(done.motion, model), solution.used
-    warmer = temperature[done.rows[at.last + 1]] > temperature[done.rows[at.first]]
-    tests = estimation.consistency(solution.estimate)
-    named = _tests_of_fit(solution, model, tests, warmer[at.row_segment][used])
+    stable, model, spec = isinstance(built.spec.plan, StandardPlan), built.model, built.spec
+    tests = estimation.consistency(solution)
+    named = _tests_of_fit(solution, model, tests, _heating(fit, temperature))
     covered = _covered(done, rates, temperature)
-    record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
-    one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
+    record = temperature[int(done.rows[0]) : int(done.rows[-1]) + 1]
     whiten = Whitener(readings)
     # At stable temperatures nothing lags, and between them no data are used.
     answers = answers_of(built) if stable else whiten.answers(solution)
-    run = EstimatedRun(solution.parameters, covered[0], answers, lag.uncounted, one_way, options.clock_doubt)
+    run = EstimatedRun(
+        solution.parameters, covered[0], answers, lag.uncounted, goes_one_way(record), options.clock_doubt
+    )
     estimated = built._replace(about=solution.parameters)
     known = solution.known._replace(spread=solution.known.spread * tests.excess)
     budget = budget_of_estimate(estimated, known, run, noise)
-    beside, added = Beside(solution.white), []
-    of_angles = angle_columns(built.spec, whiten, beside)
-    added += structure_tests(built.spec, whiten, solution, beside)
-    added += latitude_test(built.spec, whiten, solution, beside)
-    added += angle_tests(of_angles, tests.excess)
-    advice = _advice(named, tests) | {one.name: one.advice for one in added}
-    findings = [*shown.findings, *failed(named | {one.name: one.test for one in added}, advice)]
-    values, priors = model.to_reported @ solution.parameters, prior_deviations(model)
-    findings += [*beyond_the_spec(model, values, priors), *turned_together(model.names(), values, priors)]
-    contradicted = tuple(one.name for one in findings if one.contradicts)
-    beyond = [beyond_the_data(requirement, *covered) for requirement in built.spec.requirement]
-    requirements = tuple(
-        judged_by_data(requirement_row(estimated, budget, requirement), sentence, contradicted)
-        for requirement, sentence in zip(built.spec.requirement, beyond, strict=True)
+    added = list(added_tests(spec, whiten, solution, tests.excess))
+    of_fit = failed(
+        named | {one.name: one.test for one in added},
+        _advice(named, tests) | {one.name: one.advice for one in added},
     )
-    calibration = calibration_of(built, logs, name, solution, named, requirements, covered, lag, options, sources)
-    if contradicted:
-        calibration = calibration.model_copy(update={"contradicted": contradicted})
-    own = calibration.values()
-    kept = [k for k, n in enumerate(model.names()) if n in own]
-    unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
-    if unseen:
-        calibration = calibration.model_copy(update={"unseen": unseen})
-    beside_tests = [
+    of_fit += beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(model))
+    contradicted = tuple(one.name for one in (*shown.findings, *of_fit) if one.contradicts)
+    beyond = [beyond_the_data(requirement, *covered) for requirement in spec.requirement]
+    requirements = tuple(
+        _judged(requirement_row(estimated, budget, requirement), sentence, contradicted)
+        for requirement, sentence in zip(spec.requirement, beyond, strict=True)
+    )
+    judged = Judged(named, requirements, contradicted, lacks, budget)
+    estimator = _estimator(solution, lag, options)
+    calibration = calibration_of(built, logs, name, solution, judged, covered, lag.seconds, estimator, sources)
+    sentences = [
+        *messages,
+        *(points_of(built, rows).sentences if stable else []),
         *lag.sentences,
-        *sentences_of([*_remarks(tests, named, solution), *(one for one in findings if one not in shown.findings)]),
+        *sentences_of([*_remarks(tests, solution), *of_fit]),
         *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
         *one_way_sentences(built, solution.known),
-        *branch_sentences(built.spec),
-        *attitude_sentences(built.spec),
-        *backlash_sentences(estimated, solution, of_angles, requirements),
-        *omitted_sentences(built.spec, temperature[record], lag.std is not None),
+        *branch_sentences(spec),
+        *attitude_sentences(spec),
+        *omitted_sentences(spec, record, lag.std is not None),
         *filter(None, beyond),
     ]
     return SensorEstimate(
@@ -334,23 +282,45 @@ def report_of(
         requirements,
         tests,
         named,
-        (*messages, *beside_tests),
+        tuple(sentences),
         lag,
         _counts(logs, name, done),
         bias_curves(readings, solution),
     )
 
 
+def _judged(row: RequirementRow, beyond: str | None, contradicted: Sequence[str]) -> RequirementRow:
+    """A requirement as an estimate meets it: no verdict where the data lack what it asks for (`beyond`), or contradict
+    the model."""
+    verdict = "not covered" if beyond and row.verdict in ("met", "missed") else row.verdict
+    return row.model_copy(update={"verdict": "not valid" if contradicted else verdict})
+
+
+def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
+    parts = [f"Gauss-Newton with finite rotations, {solution.rounds} iterations"]
+    if lag.std is not None:
+        parts.append(f"lag fitted: {lag.seconds:.4g} s, 1 sigma {lag.std:.2g} s")
+    if options.clock == "host":
+        parts.append("clock of the computer")
+    return "; ".join(parts)
+
+
+def _heating(fit: Fit, temperature: np.ndarray) -> np.ndarray:
+    """Of the rows used, whether the temperature rises over their segments."""
+    at, rows = fit.readings.segments, fit.executed.rows
+    warmer = temperature[rows[at.last + 1]] > temperature[rows[at.first]]
+    return warmer[at.row_segment][fit.solution.used]
+
+
 def _tests_of_fit(solution: ImuEstimate, model: ImuModel, tests: Consistency, heating: np.ndarray) -> dict[str, Test]:
     """The tests of a fit by their names in the calibration file; `heating`: truth values of the rows used."""
     named = {CHI_SQUARED: tests.fit}
-    for i, c in enumerate(model.channels):
-        left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
-        free = round(len(left) - float(np.sum(taken**2)))
-        if len(model.channels) > 1:
-            # That of a single channel is the whole fit's.
-            named[f"{c.name}: chi-squared"] = estimation.chi_squared_test(float(left @ left), free)
-        named[f"{c.name}: whiteness"] = estimation.whiteness(left, taken)
+    # That of a single channel is the whole fit's.
+    for i, c in enumerate(model.channels if len(model.channels) > 1 else ()):
+        own = solution.channel == i
+        left = solution.residuals[own]
+        free = round(len(left) - float(np.sum(solution.leverage[own])))
+        named[f"{c.name}: chi-squared"] = estimation.chi_squared_test(float(left @ left), free)
     if _FEW < np.mean(heating) < 1.0 - _FEW:
         named[HEATING_AGAINST_COOLING] = halves_test(solution.white, heating)
     return named
@@ -359,25 +329,20 @@ def _tests_of_fit(solution: ImuEstimate, model: ImuModel, tests: Consistency, he
 def _advice(named: Mapping[str, Test], tests: Consistency) -> dict[str, str]:
     """What to say of each test of the fit that fails."""
     found = {
-        CHI_SQUARED: f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, "
-        "something jumped or drifted during the run, or the noise figures are too small; requirements are judged with "
-        "the larger noise",
-        HEATING_AGAINST_COOLING: _LOOP,
+        name: f"{name.partition(':')[0].replace('_', ' ')}: its residuals are "
+        f"{np.sqrt(test.statistic / max(test.degrees, 1)):.3g} times the noise of the spec"
+        for name, test in named.items()
     }
-    for name, test in named.items():
-        channel, _, what = name.replace("_", " ").partition(": ")
-        scale = np.sqrt(test.statistic / max(test.degrees, 1))
-        if what == "chi-squared":
-            found[name] = f"{channel}: its residuals are {scale:.3g} times the noise of the spec"
-        elif what:
-            found[name] = (
-                f"{channel}: its residuals are not white: the spec's noise does not explain their correlation, but a "
-                "jump, a drift or a transient of the sensor would"
-            )
+    found[CHI_SQUARED] = (
+        f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete (try a higher "
+        "degree of the polynomials), something jumped or drifted during the run, or the noise figures are too small; "
+        "requirements are judged with the larger noise"
+    )
+    found[HEATING_AGAINST_COOLING] = _LOOP
     return found
 
 
-def _remarks(tests: Consistency, named: Mapping[str, Test], solution: ImuEstimate) -> Iterator[FitFinding]:
+def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
     """What contradicts no model."""
     if solution.moved > _MOVED:
         yield FitFinding(
@@ -397,22 +362,9 @@ def _remarks(tests: Consistency, named: Mapping[str, Test], solution: ImuEstimat
             "larger than the noise of this sensor",
             contradicts=False,
         )
-    for name, test in named.items():
-        channel, _, what = name.replace("_", " ").partition(": ")
-        if what == "whiteness" and test.probability > 1.0 - _TOO_GOOD:
-            yield FitFinding(
-                name,
-                test.probability,
-                1.0 - _TOO_GOOD,
-                f"{channel}: its residuals are anti-correlated: the slow noise of the spec is larger than that of this "
-                "sensor, and so is the uncertainty",
-                contradicts=False,
-            )
 
 
-def _covered(
-    done: ExecutedImu, rates: np.ndarray, temperature: np.ndarray
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _covered(done: ExecutedImu, rates: np.ndarray, temperature: np.ndarray) -> tuple[Range, Range]:
     """The ranges of temperature (°C) and rate (rad/s) of the pieces used, from those of the rows; rest included."""
     line, whole = done.motion.line, ~np.asarray(done.motion.line.gap)
     if line.rates:
@@ -429,7 +381,7 @@ def _rows_within(done: ExecutedImu, pieces: np.ndarray, count: int) -> np.ndarra
     return estimation.within(np.stack([done.rows[:-1], done.rows[1:]], axis=1)[pieces], count)
 
 
-def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
+def _outwards(values: np.ndarray, step: float) -> Range:
     """The range of values, rounded outwards to whole steps."""
     low, high = float(values.min()) / step, float(values.max()) / step
     return float(np.floor(low + 1e-6) * step), float(np.ceil(high - 1e-6) * step)

@@ -13,7 +13,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.estimation.alignment_check import CoarseFit
 from gradcal_jax.estimation.consistency import Test
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, ImuModel
+from gradcal_jax.model import AXIS_NAMES, Channel, ImuModel
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.signal_checks import without_faults
 from gradcal_jax.spec.absent import EARTH_IS_UNKNOWN, absent_terms
@@ -136,7 +136,7 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
         )
     if any(term.key == EARTH for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
-    if lagging and _goes_one_way(temperature):
+    if lagging and goes_one_way(temperature):
         sentences.append(
             "the temperature changes in one direction only, which hardly shows the lag of the dies behind the measured "
             "temperature: the estimate assumes zero lag (or the lag stated with --lag), and the uncertainty includes "
@@ -145,7 +145,7 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
     return sentences
 
 
-def _goes_one_way(temperature: np.ndarray) -> bool:
+def goes_one_way(temperature: np.ndarray) -> bool:
     """Whether a record (°C), which has noise, changes by more than 5 K and never returns by a fifth of its range."""
     fall = float(np.max(np.maximum.accumulate(temperature) - temperature))
     rise = float(np.max(temperature - np.minimum.accumulate(temperature)))
@@ -189,32 +189,6 @@ def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> 
             )
 
 
-def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[FitFinding]:
-    """Each axis about which all sensors are turned by far more than the spec's misalignments, which nothing else shows:
-    names as in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
-    known = {name: (float(v), float(p)) for name, v, p in zip(names, values, priors, strict=True) if 0.0 < p < np.inf}
-    for k, axis in enumerate(AXIS_NAMES):
-        a, b = AXIS_NAMES[(k + 1) % 3], AXIS_NAMES[(k + 2) % 3]
-        # A sensor along a that is turned about the axis leans towards b, and one along b away from a.
-        both = [(f"{kind}_{one}.m_{other}", sign) for kind in KINDS for one, other, sign in ((a, b, 1.0), (b, a, -1.0))]
-        leaning = [(sign, known.get(name) or known.get(f"{name}0")) for name, sign in both]
-        sizes = np.array([sign * of[0] for sign, of in leaning if of])
-        if len(sizes) < 2:
-            continue
-        mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in leaning if of]))
-        alike, limit = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0, _CONTRADICTED * prior / np.sqrt(len(sizes))
-        if alike and abs(mean) > limit:
-            yield FitFinding(
-                f"rotation of all sensors about {axis}",
-                abs(mean),
-                float(limit),
-                f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
-                f"spec, but the spec's misalignments (1σ) about this axis are {np.degrees(prior):.2g} deg: are the "
-                "mounting and the zeros of the table's angles as in the spec?",
-                contradicts=False,
-            )
-
-
 def wrapped_sentence(angles: np.ndarray) -> str:
     """What follows an error if an axis of the table (`angles` `(n, L)`, rad, NaN where not read) shows nearly all
     angles of one turn and none beyond it; else empty."""
@@ -235,21 +209,8 @@ def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequen
             across = {AXIS_NAMES[j]: float(row[j]) for j in range(3) if j != c.axis and fit.seen[j]}
             if sentence := _no_device(float(row[c.axis]), across):
                 wrong.append((f"{c.name.replace('_', ' ')}", sentence))
-    if not wrong:
-        return
-    both = [fit.matrix for fit in fits.values() if fit.seen.all()]
-    turned = len(both) == 2 and all(_is_rotation(m) for m in both) and np.max(np.abs(both[0] - both[1])) < _MISALIGNED
-    if turned:
-        raise LogError(
-            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body "
-            "is rotated from the spec's mounting by about a quarter turn: is [rig.table.mounting] the mounting "
-            "of this log?"
-        )
-    raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
-
-
-def _is_rotation(matrix: np.ndarray) -> bool:
-    return bool(np.max(np.abs(matrix @ matrix.T - np.eye(3))) < _MISALIGNED and np.linalg.det(matrix) > 0.0)
+    if wrong:
+        raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
 
 
 def _no_device(own: float, across: Mapping[str, float]) -> str:

@@ -5,15 +5,16 @@ channels' terms are evaluated at the resulting signals.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 from itertools import zip_longest
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.executed_nodes import nodes_of_rows
-from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
+from gradcal_jax.estimation.executed_nodes import NO_ERRORS, AngleErrors, nodes_of_rows
+from gradcal_jax.estimation.gyro_stops import across_stops
+from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
@@ -26,6 +27,7 @@ from gradcal_jax.information import (
     whiten,
 )
 from gradcal_jax.information.gears import errors_of_angles, gears_of
+from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -52,16 +54,12 @@ _LATE_READING = 0.5
 _LONGEST_ARM = 0.3
 
 
-# Of an axis and its angles (rad): their errors, and the derivatives of these.
-AngleError = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-
 class Installed(NamedTuple):
-    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error
-    that a kind of channel sees."""
+    """Estimated table: its geometry, the errors of its encoders, and the relative clock error that a kind of channel
+    sees."""
 
     geometry: Geometry
-    error_of: AngleError | None
+    error_of: AngleErrors
     clock: dict[ChannelKind, float]
 
 
@@ -71,7 +69,7 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
     A non-orthogonality between two axes rotates all stages inside it: `E·Rot(e, θ) = Rot(E e, θ)·E`.
     """
     base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
-    waves: list[tuple[AxisHarmonics, np.ndarray]] = []
+    waves: list[tuple[int, int, float, float]] = []
     clock: dict[ChannelKind, float] = {"gyro": 0.0, "accelerometer": 0.0}
     begin = 0
     for term in model.installation:
@@ -88,7 +86,9 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
         elif isinstance(term, MountingError):
             mountings = mountings @ np.stack([_small(own[3 * k : 3 * k + 3]) for k in range(len(mountings))])
         elif isinstance(term, AxisHarmonics):
-            waves.append((term, own))
+            waves += [
+                (term.axis, n, float(a), float(b)) for n, a, b in zip(term.orders, *own.reshape(-1, 2).T, strict=True)
+            ]
         elif isinstance(term, CommonScale):
             if term.of == "gravity":
                 gravity = gravity + own[0]
@@ -97,31 +97,10 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
         else:
             raise TypeError(f"terms of class {type(term).__name__} do not support finite angles")
 
-    def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        error, slope = np.zeros(angle.shape), np.zeros(angle.shape)
-        for term, own in waves:
-            if term.axis == axis:
-                for k, order in enumerate(term.orders):
-                    c, s = np.cos(order * angle), np.sin(order * angle)
-                    error += own[2 * k] * c + own[2 * k + 1] * s
-                    slope += order * (own[2 * k + 1] * c - own[2 * k] * s)
-        return error, slope
-
     changed = eqx.tree_at(
         lambda g: (g.base, g.axes, g.mountings, g.gravity), geometry, (base, axes, mountings, np.asarray(gravity))
     )
-    return Installed(changed, error_of if waves else None, clock)
-
-
-def _sum_of(first: AngleError | None, second: AngleError | None) -> AngleError | None:
-    if first is None or second is None:
-        return first or second
-
-    def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        (one, slope), (other, more) = first(axis, angle), second(axis, angle)
-        return one + other, slope + more
-
-    return error_of
+    return Installed(changed, AngleErrors(tuple(waves)), clock)
 
 
 def _small(vector: np.ndarray) -> np.ndarray:
@@ -131,14 +110,16 @@ def _small(vector: np.ndarray) -> np.ndarray:
 
 class ImuReadings(NamedTuple):
     """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `added` `(P, 3)`,
-    the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `sigma`
-    `(R,)`: standard deviations, in the place of the model's noise of the channels (None: the model's); `free`: no
-    encoder tells the angles of standstills, whose wide noise then absorbs a reading each; `common` `(R, k)`: changes
+    the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `free`:
+    no encoder tells the angles of standstills, whose wide noise then absorbs a reading each; `common` `(R, k)`: changes
     of the readings by one standard deviation of each error that is neither a parameter nor a state of the noise.
+    `segments` of the motion; `row` `(N,)`: the row that each step of the noise reads (−1: none).
     """
 
     model: ImuModel
     done: ExecutedImu
+    segments: Segments
+    row: np.ndarray
     log: ImuRows
     temperature_c: np.ndarray
     points: int
@@ -147,13 +128,13 @@ class ImuReadings(NamedTuple):
     free: bool = False
     common: np.ndarray | None = None
 
-    def expected(self, parameters: np.ndarray, error_of: AngleError | None = None) -> np.ndarray:
-        """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, beside the
-        installation's."""
+    def expected(self, parameters: np.ndarray, axis: int = -1, constant: float = 0.0, slope: float = 0.0) -> np.ndarray:
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates, with further errors of one axis's angles."""
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
-        nodes = self._nodes(table.geometry, _sum_of(table.error_of, error_of), parameters)
-        at = segments_of(self.done.motion, model)
+        error_of = table.error_of._replace(axis=axis, constant=constant, slope=slope)
+        nodes = self._nodes(table.geometry, error_of, parameters)
+        at = self.segments
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
         for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
@@ -172,12 +153,16 @@ class ImuReadings(NamedTuple):
 
     def by_steps(self, values: np.ndarray) -> np.ndarray:
         """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
-        row = row_of_steps(self.done.motion, self.model)
-        return np.where((row >= 0).reshape(-1, *(1,) * (values.ndim - 1)), values[row], np.zeros((), values.dtype))
+        there = (self.row >= 0).reshape(-1, *(1,) * (values.ndim - 1))
+        return np.where(there, values[self.row], np.zeros((), values.dtype))
+
+    def left(self, parameters: np.ndarray) -> np.ndarray:
+        """`(N,)`: by the noise steps, what the readings used are more than expected."""
+        return self.by_steps(np.where(self.segments.used, self.observed - self.expected(parameters), 0.0))
 
     def whitened(self, steps: NoiseSteps, values: np.ndarray) -> np.ndarray:
         """Values `(N, k)` of the noise steps as rows of variance one, `(n, k)`, of the rows that are used."""
-        used, count = self.by_steps(np.asarray(segments_of(self.done.motion, self.model).used)), values.shape[1]
+        used, count = self.by_steps(np.asarray(self.segments.used)), values.shape[1]
         if self.common is None:
             return np.asarray(whiten(steps, values))[used]
         white = np.asarray(whiten(steps, np.concatenate([values, self.by_steps(self.common)], axis=1)))[used]
@@ -200,9 +185,9 @@ class ImuReadings(NamedTuple):
         """Derivatives `(R, k)` of the rows, rad or m/s, with respect to `k` errors of the angles that the table shows,
         of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece; at the
         parameters `about` (None: of ideal sensors on an ideal table)."""
-        motion, model = self.done.motion, self.model
-        of_angles = encoder_rows(motion, model, self.nominal()) if about is None else self.by_angles(about)
-        return rows_of_angles(segments_of(motion, model), of_angles, before, after)
+        nominal = about is None
+        of_angles = encoder_rows(self.done.motion, self.model, self.nominal()) if nominal else self.by_angles(about)
+        return rows_of_angles(self.segments, of_angles, before, after)
 
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""
@@ -216,44 +201,40 @@ class ImuReadings(NamedTuple):
         """
         motion, model = self.done.motion, self.model
         if about is None:
-            return self._system(self.nominal())
+            return imu_system(motion, model, self.nominal())
         table = installed(motion.geometry, model, about[model.calibrated :])
-        steps, columns = self._system(self._nodes(table.geometry, table.error_of, about))
-        here, begin = self.expected(about), model.calibrated
-        self._multiply(columns, about, here)
-        at = segments_of(motion, model)
-        hung = motion.mounting[at.first][at.row_segment]
-        for term in model.installation:
-            if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
-                # Each row is of one mounting, so that all are turned at a time.
-                together = 3 if isinstance(term, MountingError) else term.size
-                for k in range(together):
-                    own = np.arange(begin + k, begin + term.size, together)
-                    there = about.copy()
-                    there[own] += _SMALL_TURN
-                    changed = (self.expected(there) - here) / _SMALL_TURN
-                    for number, place in enumerate(own):
-                        only = (len(own) == 1) | (hung == number)
-                        columns[:, place] = self.by_steps(np.where(only, changed, 0.0))
-            begin += term.size
+        steps, columns = imu_system(motion, model, self._nodes(table.geometry, table.error_of, about))
+        here = self.expected(about)
+        for together in self._changed_together():
+            there = about.copy()
+            there[[place for place, _ in together]] += _SMALL_TURN
+            changed = (self.expected(there) - here) / _SMALL_TURN
+            for place, only in together:
+                columns[:, place] = self.by_steps(np.where(only, changed, 0.0))
         return self._with_own_angles(steps, about, here), columns
 
-    def _multiply(self, columns: np.ndarray, about: np.ndarray, here: np.ndarray) -> None:
-        """Put the derivatives by misalignments at `about` into the `columns`: what a sensor senses across its axis is
-        multiplied by its scale factor. Without this, a rotation of the body's frame, which misalignments can stand for,
-        would seem to be observable over temperature."""
-        row_channel = segments_of(self.done.motion, self.model).row_channel
+    def _changed_together(self) -> Iterator[list[tuple[int, np.ndarray]]]:
+        """Parameters whose derivatives depend on the others, with the rows that see them: those of a list have no row
+        in common. They are the misalignments (what a sensor senses across its axis is multiplied by its scale factor:
+        without this, a rotation of the body's frame, which misalignments can stand for, would seem to be observable
+        over temperature) and the rotations of the installation."""
+        model, at = self.model, self.segments
         own: dict[int, list[int]] = {}
-        for number, _, places in self.model.misalignments():
+        for number, _, places in model.misalignments():
             own.setdefault(number, []).extend(range(places.start, places.stop))
-        # Each row is of one channel, so that one parameter of every channel is changed at a time.
-        for together in zip_longest(*own.values()):
-            there = about.copy()
-            there[[k for k in together if k is not None]] += _SMALL_TURN
-            changed = (self.expected(there) - here) / _SMALL_TURN
-            for number, k in zip(own, together, strict=True):
-                if k is not None:
-                    columns[:, k] = self.by_steps(np.where(row_channel == number, changed, 0.0))
+        for of_channels in zip_longest(*own.values()):
+            pairs = zip(own, of_channels, strict=True)
+            yield [(place, at.row_channel == number) for number, place in pairs if place is not None]
+        hung, begin = self.done.motion.mounting[at.first][at.row_segment], model.calibrated
+        for term in model.installation:
+            if isinstance(term, MountingError):
+                # Each row is of one mounting.
+                for k in range(3):
+                    yield [(begin + 3 * n + k, (hung == n) | (term.size == 3)) for n in range(term.size // 3)]
+            elif isinstance(term, BaseTilt | NonOrthogonality):
+                for k in range(term.size):
+                    yield [(begin + k, np.ones(len(hung), bool))]
+            begin += term.size
 
     def sees_angles(self, about: np.ndarray) -> tuple[bool, bool]:
         """Whether gyros across an axis, and accelerometers, see the errors of its angle by more than a part of their
@@ -280,7 +261,7 @@ class ImuReadings(NamedTuple):
         would seem to be observable. Otherwise only gyros across the axis and accelerometers, which see its angle by
         their misalignments or the mounting's error, would have too small a noise. A constant error is that of both
         standstills, one in proportion to the angle that of each by its own angle."""
-        motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        motion, at = self.done.motion, self.segments
         rotated, tilted = self.sees_angles(about)
         if not (self.free or rotated or tilted):
             return steps
@@ -299,35 +280,31 @@ class ImuReadings(NamedTuple):
     def by_angles(self, about: np.ndarray, here: np.ndarray | None = None) -> np.ndarray:
         """The derivatives `(R, 2, L)` of the rows with respect to errors of the axes' angles at the end and at the
         begin of their segments, at these parameters. `here`: what is expected there, if it is known."""
-        motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        motion, at = self.done.motion, self.segments
         before, after = motion.angles()
         here = self.expected(about) if here is None else here
         found: list[np.ndarray] = []
         for k in range(motion.geometry.axis_count):
-            by: list[np.ndarray] = []
-            for slope in (0.0, 1.0):
-
-                def error_of(axis: int, angle: np.ndarray, k: int = k, slope: float = slope):
-                    size = _SMALL_TURN * (axis == k)
-                    return size * (angle * slope + 1.0 - slope), np.full(angle.shape, size * slope)
-
-                by.append((self.expected(about, error_of) - here) / _SMALL_TURN)
+            by_constant, by_slope = (
+                (self.expected(about, k, **of) - here) / _SMALL_TURN
+                for of in ({"constant": _SMALL_TURN}, {"slope": _SMALL_TURN})
+            )
             begin, end = (a[at.row_segment, k] for a in (before[at.first], after[at.last]))
             way = end - begin
             turns = np.abs(way) > _TURNS
             whole = np.where(turns, way, 1.0)
-            of_end = np.where(turns, (by[1] - begin * by[0]) / whole, by[0])
-            found.append(np.stack([of_end, np.where(turns, (end * by[0] - by[1]) / whole, 0.0)], axis=1))
+            of_end = np.where(turns, (by_slope - begin * by_constant) / whole, by_constant)
+            found.append(np.stack([of_end, np.where(turns, (end * by_constant - by_slope) / whole, 0.0)], axis=1))
         return np.stack(found, axis=2)
 
-    def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
-        return imu_system(self.done.motion, self.model, nodes)
-
-    def _nodes(self, geometry: Geometry, error_of=None, parameters: np.ndarray | None = None) -> BodyNodes:
+    def _nodes(
+        self, geometry: Geometry, errors: AngleErrors = NO_ERRORS, parameters: np.ndarray | None = None
+    ) -> BodyNodes:
         """The nodes on a table of this geometry, for sensors with the misalignments of `parameters`."""
         others = self.log.others(self.model.others, self.temperature_c)
-        at = self.done, self.log, geometry, self.points, self.temperature_c
-        nodes = nodes_of_rows(*at, error_of, self.added, others)
+        nodes = nodes_of_rows(
+            self.done, self.log, geometry, self.points, self.temperature_c, errors, self.added, others
+        )
         return nodes if parameters is None else self.model.with_misalignments(nodes, parameters)
 
 
@@ -356,7 +333,8 @@ def readings_of(
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), None, free=free)
+    rest = log, temperature_c, points, np.where(at.used, observed, 0.0), None
+    readings = ImuReadings(model, done, at, row_of_steps(done.motion, model), *rest, free=free)
     if felt is not None and corrected_by is not None:
         readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by))
     if model.encoder.held or done.motion.line.rates:

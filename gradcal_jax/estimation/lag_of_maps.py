@@ -11,8 +11,8 @@ from gradcal_jax.estimation.added_columns import Beside, Whitener
 from gradcal_jax.formulas import BRIDGED_S, followed
 
 _LONGEST_S: Final = 1800.0
-# The reduction of χ² from which on a lag is used without being asked for: of one whose size the spec states, χ² with
-# that of the lag itself; otherwise minima far from zero may be deep.
+# The reduction of χ² from which on a lag is used: of one whose size the spec states, χ² with that of the lag itself;
+# otherwise minima far from zero may be deep.
 _SURE, _EXPECTED = 25.0, 9.0
 # Linearisations, until the lag changes by less than this share of its standard deviation.
 _ROUNDS, _STANDS = 8, 0.1
@@ -52,27 +52,10 @@ class Lag(NamedTuple):
         return 0.0 if self.in_rows else self.std
 
     @property
-    def doubts(self) -> list[str]:
-        """What speaks against a fitted lag, in sentences."""
-        if self.std is None:
-            return []
-        said: list[str] = []
-        if self.seconds > 0.99 * _LONGEST_S:
-            said.append(
-                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine the lag"
-            )
-        if self.seconds < 2.0 * self.std:
-            said.append(
-                f"the lag of the maps is not significant: the estimate is {self.seconds:.2g} s, its uncertainty "
-                f"(1σ) {self.std:.2g} s"
-            )
-        return said
-
-    @property
     def sentences(self) -> list[str]:
         """What is said of a fitted lag."""
-        if self.std is None or self.doubts:
-            return self.doubts
+        if self.std is None:
+            return []
         return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
 
 
@@ -124,74 +107,50 @@ def fit_with_lag(
     fit_at: Callable[[float, Fit | None], Fit],
     temperature_of: Callable[[float], np.ndarray],
     size_s: float | None = None,
-    *,
-    wanted: bool,
 ) -> tuple[Lag, Fit, tuple[str, ...]]:
-    """The lag of the maps of all channels, the fit with it, and messages. If it is `wanted`, that of least χ²,
-    otherwise only one that the data show, or none. `fit_at`: with a lag (s), from another fit; `temperature_of` (°C, of
-    all rows): with a lag; `size_s`: its standard deviation by the spec."""
+    """The lag of the maps of all channels if the data show one, the fit with it, and messages. `fit_at`: with a lag
+    (s), from another fit; `temperature_of` (°C, of all rows): with a lag; `size_s`: its standard deviation by the
+    spec."""
     prompt = fit = fit_at(0.0, None)
-    of = _Linearised(prompt, temperature_of, _TRIED_S)
-    if not (wanted or of.shows_lag):
+    beside, columns = _changes(prompt, temperature_of, _TRIED_S)
+    tried = beside.components(columns)
+    if tried.test(prompt.solution.excess**0.5).probability >= _BY_CHANCE:
         return Lag(0.0), prompt, ()
-    lag, std, following = 0.0, 0.0, _TRIED_S[of.best]
+    # The one that leaves the smallest residuals.
+    best = int(np.argmin(np.sum((beside.left - beside.of(columns)) ** 2, axis=0)))
+    lag, std, following = 0.0, 0.0, _TRIED_S[best]
     for _ in range(_ROUNDS):
         lag = following
         fit = fit_at(lag, fit)
         apart = max(_APART * lag, _APART_S)
-        step, std = _Linearised(fit, temperature_of, [lag + apart]).step
-        following = float(np.clip(lag + step * apart, 0.0, _LONGEST_S))
-        std *= apart
+        beside, columns = _changes(fit, temperature_of, [lag + apart])
+        column = beside.of(columns)[:, 0]
+        gain = max(float(column @ column), np.finfo(float).tiny)
+        following = float(np.clip(lag + float(column @ beside.left[:, 0]) / gain * apart, 0.0, _LONGEST_S))
+        # Larger if the fit does not hold.
+        std = float(np.sqrt(fit.solution.excess / gain)) * apart
         if abs(following - lag) <= _STANDS * std:
             break
-    found, estimate = Lag(lag, std), fit.solution.estimate
-    before, after = float(prompt.solution.estimate.chi_squared), float(estimate.chi_squared)
-    if wanted:
-        return found, fit, ()
+    before, after, degrees = prompt.solution.chi_squared, fit.solution.chi_squared, fit.solution.degrees
     least = _EXPECTED + (lag / size_s) ** 2 if size_s else _SURE
-    if before - after <= least * _excess(fit.solution) or found.doubts:
+    unsure = lag > 0.99 * _LONGEST_S or lag < 2.0 * std
+    if before - after <= least * fit.solution.excess or unsure:
         return Lag(0.0), prompt, ()
-    holds = chi_squared_test(after, estimate.degrees).probability > _HOLDS
-    if not holds and after - estimate.degrees > _LEFT * (before - estimate.degrees):
+    holds = chi_squared_test(after, degrees).probability > _HOLDS
+    if not holds and after - degrees > _LEFT * (before - degrees):
         # What contradicts the model is something else, which a lag may resemble.
         return Lag(0.0), prompt, (
-            f"a lag of the maps of {lag:.3g} s would reduce χ² from {before:.0f} to {after:.0f} of {estimate.degrees}, "
-            "but not explain it: zero lag is assumed; --lag fit estimates it",
+            f"a lag of the maps of {lag:.3g} s would reduce χ² from {before:.0f} to {after:.0f} of {degrees}, "
+            "but not explain it: zero lag is assumed; --lag states one",
         )  # fmt: skip
-    return found, fit, ()
+    return Lag(lag, std), fit, ()
 
 
-def _excess(solution: ImuEstimate) -> float:
-    """χ² over degrees of freedom where it is above 1."""
-    return max(float(solution.estimate.chi_squared) / max(solution.estimate.degrees, 1), 1.0)
-
-
-class _Linearised:
-    """The residuals of a fit, and how they would change with other lags (s), with its motion and derivatives."""
-
-    def __init__(self, fit: Fit, temperature_of: Callable[[float], np.ndarray], lags: Sequence[float]) -> None:
-        self.solution, readings = fit.solution, fit.readings
-        parameters = fit.solution.parameters
-        now = readings.expected(parameters)
-        changes = [readings.at(temperature_of(lag), parameters) - now for lag in lags]
-        self.columns = Whitener(readings)(np.stack(changes, axis=1))
-        self.beside = Beside(fit.solution.white)
-
-    @property
-    def shows_lag(self) -> bool:
-        """Whether lags explain a part of the residuals beyond chance."""
-        of = self.beside.components(self.columns).scaled(_excess(self.solution) ** 0.5)
-        return of.test().probability < _BY_CHANCE
-
-    @property
-    def best(self) -> int:
-        """The number of the lag that leaves the smallest residuals."""
-        return int(np.argmin(np.sum((self.beside.left - self.beside.of(self.columns)) ** 2, axis=0)))
-
-    @property
-    def step(self) -> tuple[float, float]:
-        """The share of the change to the only other lag that is best, and its standard deviation; larger if the fit
-        does not hold."""
-        column, left = self.beside.of(self.columns)[:, 0], self.beside.left[:, 0]
-        gain = max(float(column @ column), np.finfo(float).tiny)
-        return float(column @ left) / gain, float(np.sqrt(_excess(self.solution) / gain))
+def _changes(
+    fit: Fit, temperature_of: Callable[[float], np.ndarray], lags: Sequence[float]
+) -> tuple[Beside, np.ndarray]:
+    """What the fit leaves of its data, and how its whitened readings would change with other lags (s)."""
+    readings, parameters = fit.readings, fit.solution.parameters
+    now = readings.expected(parameters)
+    changes = [readings.at(temperature_of(lag), parameters) - now for lag in lags]
+    return Beside(fit.solution.white), Whitener(readings)(np.stack(changes, axis=1))

@@ -101,7 +101,7 @@ def estimate(
     *,
     axis: str | None = None,
     units: Sequence[str] = (),
-    lag: float | Literal["auto", "fit"] = "auto",
+    lag: float | Literal["auto"] = "auto",
     clock: Literal["sensor", "host"] | None = None,
     temperature_c: float | None = None,
 ) -> EstimateReport:
@@ -109,7 +109,7 @@ def estimate(
 
     Noise, table and terms are the spec's; the executed motion is read from the log. With several mountings, one log for
     each. `axis`: the recorded one, where the spec has one gyro on a table of one axis. `units`: default all.
-    `lag` s of the maps behind the measured temperature, "fit", or "auto": fitted, and used if the data show one (and
+    `lag` s of the maps behind the measured temperature, or "auto": fitted, and used if the data show one (and
     the spec does not state that there is none). `clock`: the clock over whose time rates are integrated (default: the
     spec's, or else the computer's where the log has both). `temperature_c` of a log without a thermometer.
 

@@ -1,8 +1,7 @@
 """Points of a log of the standard method: stable temperatures with held rates.
 
-A plateau is an unbroken run of rows at a planned rate of the table and a planned temperature of the sensor. Unplanned
-plateaus are unbroken runs at any held rate and stable temperature (a soak between two temperatures is not stable). The
-last `integration` seconds of each run count; before them are the soak and the settling of the table.
+A plateau is an unbroken run of rows at a planned rate of the table and a planned temperature of the sensor. The last
+`integration` seconds of each run count; before them are the soak and the settling of the table.
 The error of the reference rate is common to a plateau; drifts, clock and turn-on bias continue through the run, unless
 the plan takes its points as independent.
 """
@@ -11,125 +10,99 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from gradcal_jax.formulas import runs
-from gradcal_jax.motion import Trajectory, held
+from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows, executed
+from gradcal_jax.motion import Geometry, Trajectory, held
 from gradcal_jax.motion.schedule import Points
 
 # Tolerance of a table at a set point: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))
 _LEAST_SHARE = 0.5
-# A held rate stays within the tolerance for this time (s); a stable temperature changes by less than this, K.
-_HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
 class TablePoints(NamedTuple):
     """The executed points of a table: `line` of `P` pieces, between points gaps; `rows` `(P + 1,)`: piece k is rows
-    `rows[k] + 1 … rows[k+1]`. `missing`: planned points
-    (°C, rad/s) that the log lacks; `unplanned`: the number of its points that are not in the plan."""
+    `rows[k] + 1 … rows[k+1]`. `missing`: planned points (°C, rad/s) that the log lacks."""
 
     line: Trajectory
     rows: np.ndarray
     missing: tuple[tuple[float, float], ...] = ()
-    unplanned: int = 0
 
     @property
     def sentences(self) -> list[str]:
-        """In words, where log and plan have other points."""
-        said: list[str] = []
-        if self.missing:
-            t, w = self.missing[0]
-            said.append(
-                f"{len(self.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
-                f"{np.degrees(w):.4g} deg/s"
-            )
-        if self.unplanned:
-            said.append(
-                f"the log has {self.unplanned} points, at constant rates and stable temperatures, that are not in "
-                "the plan: they are used"
-            )
-        return said
+        """In words, which planned points the log lacks."""
+        if not self.missing:
+            return []
+        t, w = self.missing[0]
+        return [
+            f"{len(self.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
+            f"{np.degrees(w):.4g} deg/s"
+        ]
 
 
 def plateaus(
-    time_s: np.ndarray,
-    temperature_c: np.ndarray,
-    table_rate_rad_per_s: np.ndarray,
-    usable: np.ndarray,
-    planned_c: np.ndarray,
-    planned_rad_per_s: np.ndarray,
-    integration_s: float,
-    *,
-    points: Points = "one run",
+    log: ImuRows, planned_c: np.ndarray, planned_rad_per_s: np.ndarray, integration_s: float, points: Points = "one run"
 ) -> TablePoints:
-    """Find the points of a log's rows, arrays `(n,)`: the planned ones, and others at held rates and stable
-    temperatures. `points`: whether they share the run's noise. Errors: `ValueError` where there is none.
-    """
-    warm = _nearest(temperature_c, planned_c, _temperature_tolerance(planned_c))
-    fast = _nearest(
-        table_rate_rad_per_s,
-        planned_rad_per_s,
-        np.maximum(_RATE_TOLERANCE[0] * np.abs(planned_rad_per_s), _RATE_TOLERANCE[1]),
-    )
-    label = np.where((warm >= 0) & (fast >= 0), warm * len(planned_rad_per_s) + fast, -1)
-    # If the plan has no point at rest, the table stands only during soaks.
-    soaking = (np.abs(table_rate_rad_per_s) < _RATE_TOLERANCE[1]) & bool(np.all(planned_rad_per_s != 0.0))
-    others = _held_elsewhere(time_s, table_rate_rad_per_s, (label < 0) & ~soaking)
-    label = np.where(others >= 0, others + len(planned_c) * len(planned_rad_per_s), label)
-    begins = np.flatnonzero(np.concatenate([[True], (np.diff(label) != 0) | ~usable[1:]]))
-    ends = np.append(begins[1:], len(label)) - 1
-    first, last = [], []
-    for a, b in zip(begins, ends, strict=True):
+    """The planned points among a log's rows, which have a `table_rate`. `points`: whether they share the run's noise.
+    Errors: `ValueError` where there is none."""
+    assert log.table_rate is not None
+    time_s, rates = log.time_s, len(planned_rad_per_s)
+    warm = _nearest(log.temperature_c, planned_c, _temperature_tolerance(planned_c))
+    tolerance = np.maximum(_RATE_TOLERANCE[0] * np.abs(planned_rad_per_s), _RATE_TOLERANCE[1])
+    fast = _nearest(log.table_rate, planned_rad_per_s, tolerance)
+    label = np.where((warm >= 0) & (fast >= 0), warm * rates + fast, -1)
+    begins = np.flatnonzero(np.concatenate([[True], (np.diff(label) != 0) | ~log.usable[1:]]))
+    rows, between, present = list[int](), list[bool](), set[int]()
+    for a, b in zip(begins.tolist(), (np.append(begins[1:], len(label)) - 1).tolist(), strict=True):
         if label[a] < 0 or time_s[b] - time_s[a] < _LEAST_SHARE * integration_s:
             continue
-        start = int(np.searchsorted(time_s[a : b + 1], time_s[b] - integration_s * (1 + 1e-9))) + int(a)
-        if others[b] >= 0 and np.ptp(temperature_c[start : b + 1]) > _STABLE_K:
-            continue
-        first.append(start)
-        last.append(int(b))
-    if not first:
+        start = int(np.searchsorted(time_s[a : b + 1], time_s[b] - integration_s * (1 + 1e-9))) + a
+        if not rows or start != rows[-1]:
+            between += [True] if rows else []
+            rows.append(start)
+        rows.append(b)
+        between.append(False)
+        present.add(int(label[b]))
+    if not rows:
         raise ValueError(
-            "the log has none of the plan's points, and no rate at a stable temperature for "
-            f"{_LEAST_SHARE * integration_s:g} s or longer: state the integration time of the recording in the spec"
+            f"the log has none of the plan's points for {_LEAST_SHARE * integration_s:g} s or longer: state the "
+            "temperatures, rates and integration time of the recording in the spec"
         )
-    present = {int(label[b]) for b in last}
     missing = tuple(
-        (float(planned_c[k // len(planned_rad_per_s)]), float(planned_rad_per_s[k % len(planned_rad_per_s)]))
-        for k in range(len(planned_c) * len(planned_rad_per_s))
+        (float(planned_c[k // rates]), float(planned_rad_per_s[k % rates]))
+        for k in range(len(planned_c) * rates)
         if k not in present
     )
-    rows, broken = [first[0]], []
-    for a, b in zip(first, last, strict=True):
-        if a != rows[-1]:
-            rows.append(a)
-            broken.append(True)
-        rows.append(b)
-        broken.append(False)
-    at, between = np.array(rows), np.array(broken)
+    at, gap = np.array(rows), np.array(between)
     step = np.diff(time_s, prepend=time_s[0])
 
     def mean(values: np.ndarray) -> np.ndarray:
         return np.array([np.average(values[i + 1 : j + 1], weights=step[i + 1 : j + 1]) for i, j in pairwise(rows)])
 
-    temperature = mean(temperature_c)
+    temperature = mean(log.temperature_c)
     line = held(
-        time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
-        temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
-    )  # fmt: skip
-    return TablePoints(line, at, missing, int(np.count_nonzero(others[last] >= 0)))
+        time_s[at[:-1]],
+        np.diff(time_s[at]),
+        np.where(gap, 0.0, mean(log.table_rate)),
+        temperature,
+        temperature,
+        read=~gap,
+        at_rest=gap,
+        moving=~gap,
+        gap=gap,
+        rates=True,
+        points=points,
+    )
+    return TablePoints(line, at, missing)
 
 
-def _held_elsewhere(time: np.ndarray, rate: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """`(n,)`: the number of the run of rows at one rate among the free ones, or −1."""
-    width = max(round(_HELD_OVER_S * (len(time) - 1) / (time[-1] - time[0])), 2)
-    smooth = uniform_filter1d(rate, width)
-    high, low = maximum_filter1d(smooth, width), minimum_filter1d(smooth, width)
-    tolerance = np.maximum(_RATE_TOLERANCE[0] * np.abs(smooth), _RATE_TOLERANCE[1])
-    result = np.full(len(time), -1)
-    for number, (start, end) in enumerate(runs(free & (high - low < tolerance))):
-        result[start:end] = number
-    return result
+def motion_at_points(points: TablePoints, log: ImuRows, geometry: Geometry) -> ExecutedImu:
+    """The motion of the points of the standard method, each at a held rate of the only axis."""
+    line = points.line
+    moving = np.asarray(line.moving)
+    turned = np.where(moving, line.terms[:, 0], 0.0) * line.duration
+    ways = tuple(np.linspace(0.0, way, 3) if moves else None for way, moves in zip(turned, moving, strict=True))
+    return executed(log, geometry, line, points.rows, np.where(moving, 0, -1), ways, np.zeros(1))
 
 
 def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ larger by orders of magnitude. So there are two criteria:
 2. begin and end of each: the spread stays within `factor` times the stretch's own.
 
 Stretches that are too short are not standstills. Where nothing but gyros tells when a hand is at rest, a slow turn
-divides a stretch: by the spread or, if it is too slow for that, by the mean.
+divides a stretch by its spread.
 
 And whether the gyros agree that a table stands where its standstills begin and end. A gyro that is filtered or delayed,
 or a controller that says "in position" too early, shows the end of a move within the standstill; one that says so too
@@ -22,18 +22,14 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.special import gammaincinv
 
-from gradcal_jax import formulas
 from gradcal_jax.formulas import runs
 
 _QUIETEST = 0.10
-# Rows of the shortest window; of one whose spread scatters itself.
-_FEWEST_ROWS, _FEW_ROWS = 4, 10
+# Rows of the shortest window.
+_FEWEST_ROWS = 4
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
-# Means of a window that are farther from a stretch's line than so many times their scatter are of a turn.
-_TURNS = 6.0
 
 
 def find_standstills(
@@ -48,7 +44,7 @@ def find_standstills(
     divide: bool = False,
 ) -> np.ndarray:
     """`(n,)`: the number of the standstill of each row, counted from 0; −1 while moving. Rates `(n, axes)`, rad/s.
-    `divide`: a turn within a quiet stretch that is slow beside others divides it.
+    `divide`: a slow turn within a quiet stretch divides it by its spread.
 
     A window has four rows at least, whatever the sample rate. Errors: `ValueError` where the record is shorter than two
     windows, or nothing is quiet enough.
@@ -62,21 +58,15 @@ def find_standstills(
     counts = [_least_step(rate_rad_per_s[usable, k]) for k in range(rate_rad_per_s.shape[1])]
     least = _FLICKER * float(np.linalg.norm(counts))
     level = float(np.quantile(spread[usable], _QUIETEST))
-    if width < _FEW_ROWS:
-        # The spread of so few rows scatters itself: its quietest tenth is far below the usual.
-        half = 0.5 * (width - 1) * rate_rad_per_s.shape[1]
-        level *= float(np.sqrt(gammaincinv(half, 0.5) / gammaincinv(half, _QUIETEST)))
     level = max(level, least)
     quiet = max(factor * level, float(np.sqrt(level * np.max(spread[usable]))))
     still = usable & (spread <= quiet) & np.all(np.abs(mean) <= largest_bias, axis=1)
     number = np.full(len(still), -1, np.int64)
     count = 0
-    for first, end in formulas.runs(still):
+    for first, end in runs(still):
         calm = spread[first:end] <= factor * max(float(np.median(spread[first:end])), least)
         # A window that overlaps a move shortens the standstill by half its width at both ends, on the safe side.
-        if divide:
-            calm &= _unturned(mean[first:end], spread[first:end], width)
-        parts = formulas.runs(calm) if divide else np.flatnonzero(calm)[[0, -1]][None] + np.array([0, 1])
+        parts = runs(calm) if divide else np.flatnonzero(calm)[[0, -1]][None] + np.array([0, 1])
         for begin, stop in (first + parts).tolist():
             if (stop - begin) * sample_interval_s >= shortest_s:
                 number[begin:stop] = count
@@ -87,20 +77,6 @@ def find_standstills(
             "the standstills yourself"
         )
     return number
-
-
-def _unturned(mean: np.ndarray, spread: np.ndarray, width: int) -> np.ndarray:
-    """`(n,)`: whether the means `(n, axes)` of windows in a quiet stretch are those of a sensor that stands.
-
-    A turn of a tenth of a degree has less spread than the noise, and its mean shows it: apart from a line through the
-    medians of the first and the last third, since a bias drifts with temperature, and in the scale of these distances,
-    or of white noise of the `spread` if that is larger.
-    """
-    third = max(len(mean) // 3, 1)
-    begin, end = np.median(mean[:third], axis=0), np.median(mean[-third:], axis=0)
-    along = (np.arange(len(mean)) - 0.5 * (third - 1)) / max(len(mean) - third, 1)
-    apart = np.linalg.norm(mean - begin - along[:, None] * (end - begin), axis=1)
-    return apart <= _TURNS * max(float(np.median(apart)), float(np.median(spread)) / np.sqrt(width))
 
 
 def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -143,33 +119,30 @@ def settling(time_s: np.ndarray, rate: np.ndarray, standing: np.ndarray, usable:
     rate, fits = np.nan_to_num(rate), usable & np.isfinite(rate)
     interval = float(np.median(step[1:]))
     beside = max(int(_BESIDE_S / interval), 2)
-    found: tuple[list[tuple[float, float]], list[tuple[float, float]]] = ([], [])
+    found = list[list[tuple[float, float]]]([[], []])
     for begin, end in runs(standing).tolist():
         if end - begin < _ROWS or not fits[begin:end].all():
             continue
         part = max(2, min(int(_PART_S / interval), int(_SHARE * (end - begin))))
         middle = rate[begin + part : end - part]
         mean, spread = float(middle.mean()), float(middle.std(ddof=1))
-        if spread == 0.0:
-            continue
         std = spread * interval * np.sqrt(part + part**2 / len(middle))
         # (The sample of the first row is of the time before it.)
-        for into, inside, outside in (
-            (found[0], slice(begin + 1, begin + part), slice(max(begin - beside, 0), begin)),
-            (found[1], slice(end - part, end), slice(end, end + beside)),
-        ):
+        ends = (
+            (slice(begin + 1, begin + part), slice(max(begin - beside, 0), begin)),
+            (slice(end - part, end), slice(end, end + beside)),
+        )
+        for one, (inside, outside) in zip(found, ends, strict=True):
             motion = rate[outside] - mean
             largest = float(motion[np.argmax(np.abs(motion))]) if len(motion) and fits[outside].all() else 0.0
-            if abs(largest) > 20.0 * spread:
-                angle = float(np.sum((rate[inside] - mean) * step[inside]))
-                into.append((angle * float(np.sign(largest)), std))
-    if min(len(one) for one in found) < _FEWEST:
+            if spread > 0.0 and abs(largest) > 20.0 * spread:
+                one.append((float(np.sum((rate[inside] - mean) * step[inside])) * float(np.sign(largest)), std))
+    if min(map(len, found)) < _FEWEST:
         return None
-    values = []
-    for one in found:
-        angles, stds = np.array(one).T
-        values += [float(angles.mean()), float(np.sqrt(np.sum(stds**2))) / len(stds)]
-    return Settling(*values)
+    angles, stds = zip(*(np.array(one).T for one in found), strict=True)
+    means = [float(of.mean()) for of in angles]
+    known = [float(np.linalg.norm(of)) / len(of) for of in stds]
+    return Settling(means[0], known[0], means[1], known[1])
 
 
 # An interval of so many usual ones lacks a sample, unless stamps within so many rows of it make up for it.

@@ -33,7 +33,7 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
     drawn = []
     for k, c in enumerate(report.built.model.channels):
         own = channel == k
-        residual = report.solution.estimate.residuals[own]
+        residual = report.solution.residuals[own]
         marker = "o" if c.kind == "gyro" else "^"
         name = c.name.replace("_", " ")
         drawn.append(

@@ -1,6 +1,6 @@
 """A log that ends before its plan does: what it lacks is said."""
 
-from logs_zoo import STANDARD, spec_of
+from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
@@ -23,8 +23,3 @@ def test_a_log_that_ends_early_says_what_it_lacks():
     assert calibration.lacks in said
     assert calibration.lacks in estimate_rows(report)["units"][0]["messages"]
     assert lacks_of(spec, [log]) is None
-
-
-def test_points_that_lack_are_named_by_themselves():
-    spec = spec_of(STANDARD)
-    assert lacks_of(spec, [cut(simulate_log(spec, sample_rate_hz=5.0).log, 0.5)]) is None

@@ -20,5 +20,5 @@ def test_an_estimate_that_fails_names_the_rows_that_were_left_out():
         np.arange(count) * interval, rate[None, :, None], ("unit1",), ("x",), np.full((1, count), 20.0)
         + 0.01 * rng.standard_normal((1, count)), table_axes=("x",), table_rate_rad_per_s=held[:, None],
     )  # fmt: skip
-    with pytest.raises(LogError, match=r"no rate at a stable temperature .*; frozen: gyro x .* rows are left out"):
+    with pytest.raises(LogError, match=r"none of the plan's points .*; frozen: gyro x .* rows are left out"):
         gj.estimate(spec, log)

@@ -34,16 +34,10 @@ def turned(held):
     return named @ expm(np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        {"x": "+y", "y": "-x"},
-        {"x": "-z", "z": "+x", "rotation": ["3 deg", "-20 deg", "100 deg"]},
-    ],
-)
-@pytest.mark.parametrize("hung", [{}, {"x": "+z", "y": "+x", "z": "+y", "rotation": ["0 deg", "30 deg", "5 deg"]}])
-def test_body_to_fixture_to_axis(place, hung):
+def test_body_to_fixture_to_axis():
     """A vector of the body is turned by the place and then by the fixture's mounting."""
+    place = {"x": "-z", "z": "+x", "rotation": ["3 deg", "-20 deg", "100 deg"]}
+    hung = {"x": "+z", "y": "+x", "z": "+y", "rotation": ["0 deg", "30 deg", "5 deg"]}
     spec = fixture([{"name": "a", **place}], mounting=[hung])
     (at,) = specs_at_places(spec).values()
     vector = np.array([0.3, -0.5, 0.8])
@@ -78,13 +72,6 @@ def hung(mounting):
     return spec_of(tables)
 
 
-def test_a_recipe_has_the_places():
-    made = gj.make_recipe(fixture([{"name": "a"}, {"name": "b", "x": "-x", "y": "-y"}]))
-    assert made.prediction is not None
-    assert [place.name for place in made.prediction.places] == ["a", "b"]
-    assert made.spec.rig.table.place[1].name == "b"
-
-
 def test_imus_sit_at_the_places_of_their_names_or_in_order():
     spec = fixture([{"name": "a"}, {"name": "b"}])
     assert places_of(spec, ["b", "a"]) == {"b": "b", "a": "a"}
@@ -96,13 +83,12 @@ def test_imus_sit_at_the_places_of_their_names_or_in_order():
 
 
 def test_what_is_no_place_is_refused():
-    with pytest.raises(gj.SpecError, match="three different ones"):
-        fixture([{"name": "a", "x": "+x", "y": "+x"}])
-
-
-def test_two_places_of_one_name_are_refused():
-    with pytest.raises(gj.SpecError, match="two places have this name"):
-        fixture([{"name": "a"}, {"name": "a"}])
+    for places, words in (
+        ([{"name": "a", "x": "+x", "y": "+x"}], "three different ones"),
+        ([{"name": "a"}, {"name": "a"}], "two places have this name"),
+    ):
+        with pytest.raises(gj.SpecError, match=words):
+            fixture(places)
 
 
 def test_what_is_of_one_imu_refuses_a_fixture():

@@ -97,13 +97,6 @@ def test_missing_rows_make_a_gap_with_a_new_origin_behind_it():
     np.testing.assert_allclose(line.start[line.gap] + line.duration[line.gap], [12.0], atol=2.0 * STEP)
 
 
-def test_one_reading_is_too_few():
-    rows = log()
-    only = np.arange(len(rows.time_s)) == np.flatnonzero(rows.at_a_stop)[0]
-    with pytest.raises(ValueError, match="two readings"):
-        motion_by_readings(rows._replace(at_a_stop=only), geometry())
-
-
 def test_an_angle_that_never_changes_is_read_as_often_as_the_spec_says():
     time = np.arange(0.0, 100.0, 1.0)
     still, constant = np.ones(len(time), bool), np.zeros(len(time))
@@ -111,15 +104,6 @@ def test_an_angle_that_never_changes_is_read_as_often_as_the_spec_says():
     # One value that stays is one poll, where others show the table's noise.
     polled = np.where(time < 50.0, 0.0, 1e-5)
     assert column_readings(time, polled, still, 10.0).sum() == 4
-
-
-def test_a_table_that_is_polled_as_often_as_asked_loses_no_reading():
-    """Its first row at rest comes some milliseconds after the poll."""
-    time = np.round(np.arange(0.0, 6.0, 0.02), 2)
-    angle = np.floor(time + 0.01) * 1e-5
-    polls = np.flatnonzero(np.diff(angle, prepend=np.nan) != 0.0)
-    still = time > 0.03
-    np.testing.assert_array_equal(np.flatnonzero(column_readings(time, angle, still, 1.0)), [2, *polls[1:]])
 
 
 def test_a_standstill_ends_with_its_mounting():

@@ -18,7 +18,6 @@ from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log
-from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -165,35 +164,3 @@ def test_xsens_stands_still_between_hand_motions():
     assert number.max() + 1 == 38  # as many as motions are told of; the record ends in the last one
     first = np.flatnonzero(number == 0)
     assert (first[-1] - first[0]) * log.sample_interval_s > 40.0  # the first 50 s are at rest
-    options = Options(temperature_c=22.0)
-    often = changed(STEPS, {"rig.table.axis[0].angle.read_every": "0.5 s"})
-    reports = [estimate_log(often, [log], axis=axis, options=options) for axis in log.axes]
-    for axis, report in zip(log.axes, reports, strict=True):
-        (channel,) = report.sensors
-        names = channel.built.model.names()
-        std = channel.solution.known.deviations(channel.built.model.to_reported)
-        assert np.isfinite(std[names.index(f"gyro_{axis}.a0")])
-        assert not np.isfinite(std[names.index(f"gyro_{axis}.b00")])  # without a reference no scale factor is seen
-        at_rest = log.rate_rad_per_s[0, first, log.axis_index(axis)].mean()
-        bias = channel.solution.parameters[names.index(f"gyro_{axis}.a0")]
-        assert bias == pytest.approx(at_rest, abs=np.radians(0.1))
-        assert sum(channel.counts.values()) == log.rows_read
-        assert not report.as_wished
-
-
-@pytest.mark.parametrize("number", range(5))
-def test_mpu9150_stands_still_between_hand_rotations(number):
-    text = 'format = "gradcal-columns/1"\nsample_rate = "100 Hz"\n' + "".join(
-        f'rate.{a} = {{ column = "imu{number}", index = {3 + k}, unit = "rad/s" }}\n' for k, a in enumerate("xyz")
-    )
-    log = import_log(FOLDER / "mikoff_mpu9150_rotations.npz", parse_column_map(text))
-    result = find_standstills(log.rate_rad_per_s[0], log.sample_interval_s, window_s=0.5, shortest_s=1.0)
-    assert result.max() + 1 == 22  # of 28 or 29 rotations told of, some follow one another without a rest
-    if number:
-        return
-    channels = estimated(STEPS, log, axis="x", options=AT)
-    names = channels[0].built.model.names()
-    still = result >= 0
-    mean = np.mean([log.rate_rad_per_s[0, result == k, 0].mean() for k in range(result.max() + 1)])
-    assert channels[0].solution.parameters[names.index("gyro_x.a0")] == pytest.approx(mean, abs=np.radians(0.05))
-    assert channels[0].counts["used"] <= np.count_nonzero(still)

@@ -68,7 +68,7 @@ def judged(spec: gj.Spec, seed: int, spoilt: float) -> Judged:
     predicted = imu_posterior(built).deviations(along_after_correction(model, ideal, ideal, ENDS_C)[1])
     count = model.calibrated
     ways = {"NEES": (by.nees, count), "by data": (by.squares, count), "NEES, scale factors": (along, len(errors))}
-    return Judged(ways, sigma / predicted, float(solution.estimate.chi_squared / solution.estimate.degrees))
+    return Judged(ways, sigma / predicted, float(solution.chi_squared / solution.degrees))
 
 
 _HEAD = """# IMUs without an encoder

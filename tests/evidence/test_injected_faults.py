@@ -27,7 +27,7 @@ from chain import say
 from evidence_report import ReportTable, Rows
 from fault_changes import encoder, nothing
 from fault_scenes import Judged, judge
-from faults import AXIS, AXIS_FULL, BACKLASH, FAULTS, HARMONICS, UNIT, UNIT_FULL, UNSEEN, Fault
+from faults import AXIS, AXIS_FULL, FAULTS, HARMONICS, UNIT, UNIT_FULL, UNSEEN, Fault
 from scipy.stats import binom
 
 SEED, SEEDS = 3, 20
@@ -173,29 +173,14 @@ def test_a_wrong_latitude_is_said_with_the_one_that_the_gyros_observe(tmp_path: 
 
 
 @pytest.mark.long
-def test_backlash_and_waves_of_the_angle_are_measured(tmp_path: Path) -> None:
+def test_waves_of_the_angle_are_measured(tmp_path: Path) -> None:
     """Of an IMU, whose accelerometers see where the table stands. A wave of 0.005 deg alone makes a misalignment wrong
     by twice its U, and no other test notices."""
-    lash = outcome(Fault("", BACKLASH, encoder(backlash=0.02), UNIT_FULL), tmp_path)
-    assert "backlash of the axis spin" in lash.printed
-    size, std = map(float, re.findall(r"in one direction differ by (\S+) ± (\S+) deg", lash.printed)[0])
-    assert abs(size - 0.02) < 3.0 * std < 0.006
     wave = outcome(Fault("", HARMONICS, encoder(waves={2: (0.003, 0.004)}), UNIT_FULL), tmp_path)
     assert "waves of the angle of the axis spin, order 2" in wave.printed
     (size,) = map(float, re.findall(r"about (\S+) deg that repeats 2 times", wave.printed))
     assert abs(size - 0.005) < 0.001
     assert max(one.error / one.u for one in wave.judged if one.u) > 1.5
-
-
-@pytest.mark.long
-def test_a_log_that_cannot_show_backlash_says_what_it_would_change(tmp_path: Path) -> None:
-    """Turns to and fro with backlash are a scale-factor error: 0.02 deg of two turns of 1800 and of 720 deg."""
-    without, lash = (outcome(Fault("", BACKLASH, encoder(backlash=size), AXIS_FULL), tmp_path) for size in (0.0, 0.02))
-    (said,) = {float(x) for of in (without, lash) for x in re.findall(r"would change 'M' by (\S+) ppm", of.printed)}
-    of_scale = next(one for one in lash.judged if one.name == "M")
-    assert of_scale.error == pytest.approx(2.0 * said, rel=0.2)
-    assert 0.02 / 1800 < 2e-6 * said < 0.02 / 720
-    assert not outcome(sound(UNIT_FULL), tmp_path).named("cannot show backlash")
 
 
 def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:

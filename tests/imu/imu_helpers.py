@@ -23,9 +23,8 @@ LATITUDE = 32.7 * DEG
 GYRO_WHITE = 0.15 * DEG / 60.0
 FORCE_WHITE = 0.05 / 60.0
 GYRO_DRIFT = ((1.0 * DEG_PER_H, 120.0),)
-FORCE_DRIFT = ((50e-6 * G, 200.0),)
 FIVE_ARCSEC = 5.0 * ARCSEC
-EAST, NORTH, UP = np.eye(3)
+EAST, _, UP = np.eye(3)
 CONSTANT = Polynomial(0, 0.0, 1.0)
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
 
@@ -90,12 +89,6 @@ def poses(
         steps += [turn(k, by, peak, 0.0 if move is None else move / len(turned)) for k, by in turned]
         steps.append(rest(dwell))
     return steps
-
-
-def poses_within(angles: Sequence[Sequence[float]], total: float, peak: float = 90.0) -> list[Step]:
-    """Equal rests at poses, as long as the moves leave of `total`."""
-    moving = sum(step.move.duration for step in poses(angles, 1.0, peak=peak) if step.axis >= 0)
-    return poses(angles, (total - moving) / len(angles), peak=peak)
 
 
 def up_along(directions, *, unwound: bool = True) -> list[tuple[float, float]]:

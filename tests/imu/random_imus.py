@@ -1,7 +1,5 @@
 """Random scenes of whole units, and what the program makes of a scene."""
 
-from dataclasses import replace
-
 import numpy as np
 from imu_helpers import ARCSEC, AXES, DEG, DEG_PER_H, POINTS, G, Step, accelerometer, gyro, motion_of
 from reference_imu import Scene, rotated
@@ -76,10 +74,6 @@ def random_scene(seed: int, axes: int, mountings: int = 1, length: int = 30) -> 
         orders=tuple(tuple(sorted(rng.choice([1, 2, 3, 5], 2, replace=False).tolist())) for _ in range(axes)),
         priors=PRIORS,
     )
-
-
-def plain(scene: Scene, **changes) -> Scene:
-    return replace(scene, **changes)
 
 
 def motion(scene: Scene) -> TableMotion:

@@ -2,8 +2,8 @@
 
 `Scene` is a table, a plan and a unit. `Simulator` goes through it with the finite geometry: rotation matrices, angles
 and rates of cosine ramps by their textbook formulas, composite Gauss–Legendre quadrature. What a small installation
-error changes is the derivative of those finite readings by it, by the complex step (exact to rounding) or by finite
-differences. `dense` is generalised least squares with the processes' covariance functions: no recursion, no state.
+error changes is the derivative of those finite readings by it, by the complex step (exact to rounding). `dense` is
+generalised least squares with the processes' covariance functions: no recursion, no state.
 """
 
 from collections.abc import Callable
@@ -175,11 +175,6 @@ class Simulator:
     def by(self, error_of: Callable[[complex], Errors]) -> np.ndarray:
         """Derivative of the readings at zero, by the complex step."""
         return np.imag(self.readings(error_of(1j * _STEP))) / _STEP
-
-    def by_differences(self, error_of: Callable[[float], Errors], h: float = 2e-3) -> np.ndarray:
-        """The same by central finite differences of fourth order."""
-        at = lambda x: self.readings(error_of(x))  # noqa: E731
-        return (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
 
     def installation(self) -> dict[str, Callable[[complex], Errors]]:
         """Every installation error by its name: what makes it of a size."""

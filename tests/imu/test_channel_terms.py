@@ -8,32 +8,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+from path_scene import spec_of_table
 
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.model.build import build_imu, imu_posterior
-from gradcal_jax.spec.spec import spec_of
 
 DEG = np.pi / 180.0
 G = 9.80665
 FLAT = {"degree": 0, "centre": "20 degC", "scale": "50 K"}
 THERMOMETER = {"standard_deviation": "0.5 K", "scale_factor_slope": "30 ppm/K"}
 BY_RATE = FLAT | {"centre": "0 deg/s", "scale": "100 deg/s"}
-ANGLE = {"reading_noise": "0.02 deg", "standstill_offset": "0.03 deg", "timing_error": "5 ms", "read_every": "4 s"}
-
-
-def spec_of_table(sensor: dict[str, Any], plan: dict[str, Any], latitude: str = "0 deg", **table: Any):
-    axis = {"name": "turn", "direction": [0.0, 0.0, 1.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
-    return spec_of({
-        "format": "gradcal-spec/1",
-        "sensor": sensor,
-        "rig": {
-            "site": {"latitude": latitude, "gravity": f"{G} m/s^2"},
-            "table": {"axis": [axis | {"angle": ANGLE}], "standing": "read", **table},
-            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
-        },
-        "plan": plan,
-    })  # fmt: skip
+READ = {
+    "standing": "read",
+    "angle": {
+        "reading_noise": "0.02 deg",
+        "standstill_offset": "0.03 deg",
+        "timing_error": "5 ms",
+        "read_every": "4 s",
+    },
+}
 
 
 def held(rates: list[str], points: str = "one run") -> dict[str, Any]:
@@ -78,8 +72,8 @@ def test_held_rates_with_every_error_of_a_gyro(points):
         "bias": {"temperature": FLAT, "prior": "100 deg/h"},
         "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
     }  # fmt: skip
-    sensor = {"sample_clock_error": "20 ppm", "clock": "sensor", "gyro": gyro}
-    spec = spec_of_table(sensor, held([f"{r:g} deg/s" for r in rates], points), rate_accuracy="100 ppm")
+    sensor = {"sample_clock_error": "20 ppm", "gyro": gyro}
+    spec = spec_of_table(sensor, held([f"{r:g} deg/s" for r in rates], points), rate_accuracy="100 ppm", **READ)
     rate = np.tile(np.array(rates) * DEG, 2)
     lasting, hour = 100.0, DEG / 3600.0
     starts = np.concatenate([300.0 + lasting * np.arange(3), 900.0 + lasting * np.arange(3)])
@@ -125,7 +119,7 @@ def test_readings_on_the_move_rests_that_are_not_read_and_two_gyros():
     }
     inclined = {"x": "+x", "y": "+y", "z": "+z", "rotation": ["0 deg", "40 deg", "0 deg"]}
     # At the pole the Earth turns about the table's axis, too.
-    spec = spec_of_table({"clock": "sensor", "gyro": gyro}, plan, "90 deg", mounting=inclined)
+    spec = spec_of_table({"gyro": gyro}, plan, latitude="90 deg", mounting=inclined, **READ)
     built = build_imu(spec)
     # Readings: the first; at 4, 8, 9 s; on the move at 14 s, at its end at 19 s; the next move's end at 33 s, after a
     # rest that is not read; at the end of the last rest at 40 s.
@@ -151,41 +145,3 @@ def test_readings_on_the_move_rests_that_are_not_read_and_two_gyros():
     found = imu_posterior(built)
     order = [built.model.names().index(name) for name in names]
     assert found.deviations(np.eye(built.model.size)[order]) == pytest.approx(expected, rel=1e-9)
-
-
-def test_an_accelerometer_has_the_same_terms():
-    accelerometer = {
-        "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)", "turn_on_bias": "3 mg",
-        "bias_temperature_gradient": {"prior": "500 ug/(K/min)"},
-        "bias": {"prior": "2 mg"}, "scale_factor": {"prior": "500 ppm"},
-    }  # fmt: skip
-    moves = [{"rest": "50 s"}, {"turn": "180 deg"}, {"rest": "70 s"}, {"turn": "-180 deg"}]
-    plan = {
-        "method": "gradient",
-        "temperature": ["20 degC", "50 degC"],
-        "gradient": "2 K/min",
-        "cycle": {"moves": moves},
-    }
-    sensor = {"clock": "sensor", "accelerometer": accelerometer}
-    # Its axis is horizontal, so that the turns reverse the force.
-    spec = spec_of_table(sensor, plan, standing="held", mounting={"x": "+z", "y": "+x", "z": "+y"}, axis=[
-        {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
-    ])  # fmt: skip
-    built = build_imu(spec)
-    line = built.motion.line
-    rests = np.flatnonzero(built.motion.axis < 0)
-    lasting = np.asarray(line.duration)[rests]
-    force = G * np.round(np.cos(built.motion.angles()[0][rests, 0]), 9) * np.sign(_first_force(built))
-    ramp, ug = 2.0 / 60.0, 1e-6 * G
-    columns = lasting[:, None] * np.column_stack([np.ones(len(rests)), force, np.full(len(rests), ramp)])
-    noise = np.diag((0.05 / 60.0) ** 2 * lasting)
-    priors = np.array([np.hypot(2000.0, 3000.0) * ug, 500e-6, 500.0 * ug * 60.0])
-    expected = covariance(columns, noise, priors)
-    found = imu_posterior(built)
-    names = ["a", "s", "bias_temperature_gradient"]
-    order = [built.model.names().index(f"accelerometer_z.{name}") for name in names]
-    assert found.deviations(np.eye(built.model.size)[order]) == pytest.approx(expected, rel=1e-9)
-
-
-def _first_force(built) -> float:
-    return float(next(g for g in built.body_nodes().groups if not g.moving).force[0, 0, 2])

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from helpers import NoEarth
 from imu_helpers import (
-    EAST,
-    UP,
     accelerometer,
     back_and_forth,
     gyro,
@@ -16,7 +14,6 @@ from imu_helpers import (
     motion_of,
     rest,
     shipped,
-    table,
     turn,
     two_axes,
     unit,
@@ -95,27 +92,6 @@ def test_with_everything_free_the_null_space_is_the_gauge_and_nothing_else():
         assert np.linalg.norm(left) < 1e-8 * np.linalg.norm(direction), name
 
 
-def test_the_earths_rate_tells_the_azimuth_and_no_more_of_the_gauge():
-    of = free_unit()
-    freedoms = gauge(of)
-    found = hidden(rich_plan(), of, two_axes())
-    assert found.shape == (45, 5)
-    basis, _ = np.linalg.qr(found)
-    for name, direction in freedoms.items():
-        left = np.linalg.norm(direction - basis @ (basis.T @ direction)) / np.linalg.norm(direction)
-        assert (left < 1e-8) == (name != "azimuth"), name
-
-
-def test_gyros_alone_leave_the_rotation_about_the_earths_axis():
-    """Accelerometers fix the tilt; without them a turn of the base about the Earth's axis changes nothing."""
-    of = unit([gyro(k, "b s m") for k in range(3)], [model.BaseTilt(_FREE)])
-    found = hidden(rich_plan(), of, two_axes())
-    assert found.shape[1] == 1
-    tilt = found[of.calibrated :, 0] / np.linalg.norm(found)
-    earth = two_axes().earth_rate()
-    np.testing.assert_allclose(abs(tilt @ earth) / np.linalg.norm(earth), 1.0, atol=1e-6)
-
-
 # --- sentences --------------------------------------------------------------------------------------------------------
 
 
@@ -176,21 +152,6 @@ def test_a_plan_that_lacks_something_is_told_what(moves, name, remedy):
     assert any(remedy in sentence for sentence in about), found
 
 
-def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
-    document = copy.deepcopy(shipped("hand"))
-    document["requirement"] = []
-    table_section = document["rig"]["table"]
-    table_section["axis"] = [table_section["axis"][1]]
-    document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, {"turn": "720 deg"}, {"turn": "-720 deg"}]}
-    document["plan"]["temperature"] = ["20 degC", "25 degC"]
-    found = predict(spec_of(document)).warnings
-    unseen = [said for said in found if said.startswith("the plan cannot observe ")]
-    for name in ("gyro_x.b00", "gyro_y.b00", "accelerometer_z."):
-        assert any(name in said for said in unseen), name
-    assert not any("gyro_z.b00" in said for said in unseen)
-    assert table(EAST, UP).axis_count == 2
-
-
 # --- freedoms that a prior alone limits -------------------------------------------------------------------------------
 
 
@@ -220,12 +181,3 @@ def test_a_freedom_that_its_prior_alone_limits_is_said_with_what_it_limits(chang
     assert len(found) == 1
     assert found[0].startswith(said), found
     assert limits in found[0]
-
-
-@pytest.mark.parametrize(("azimuth", "said"), [("20 deg", True), ("5 deg", False)])
-def test_an_azimuth_that_poses_about_one_axis_do_not_tell_is_said(azimuth, said):
-    """The Earth's horizontal rate times its sine is 4.4 deg/h for 20°, far beyond what a bias is left with at rest."""
-    found = sentences([go(90 * k % 360, 0, "60 s") for k in range(5)], rig__table__azimuth=azimuth)
-    about = [s for s in found if s.startswith("the plan does not reduce the uncertainty of azimuth")]
-    assert bool(about) == said
-    assert all(".a" in sentence and "measure it by other means" in sentence for sentence in about)

@@ -58,16 +58,6 @@ def test_every_column_and_the_covariance_of_the_rows(seed, axes, mountings, chan
     np.testing.assert_allclose(dense_of(steps) / np.outer(size, size), wanted / np.outer(size, size), atol=1e-11)
 
 
-@pytest.mark.parametrize("held", [True, False])
-@pytest.mark.parametrize(("seed", "axes", "mountings"), [(11, 2, 1)])
-def test_the_augmented_filter_says_the_same(seed, axes, mountings, held):
-    scene = replace(random_scene(seed, axes, mountings, length=14), held=held)
-    steps, columns, of = system_of(scene)
-    inverse = np.linalg.inv(of.prior_rows())
-    covariance = of.to_reported @ augmented_kalman(steps, columns, inverse @ inverse.T) @ of.to_reported.T
-    agree(dict(zip(of.names(), np.sqrt(np.diagonal(covariance)), strict=True)), by_the_program(scene))
-
-
 @pytest.mark.parametrize(
     "change",
     [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from loop_scene import recorded
 from loop_scene import spec_of as spec_of_loop
+from path_scene import LEVEL, MOVES, fine, spec_of_table
 
 import gradcal_jax as gj
 from gradcal_jax.calibration import read_calibration, write_calibration
@@ -19,12 +20,8 @@ from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.information.imu_residual import quantity_of
 from gradcal_jax.model.build import BuiltImu, build_imu
-from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.log_file import read_log, write_log
-from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.problems import SpecError
 
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
@@ -44,7 +41,6 @@ FORCE: dict[str, Any] = {
     "term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "100 ug/K"}],
 }  # fmt: skip
 SENSOR = {"clock": "sensor", "second_thermometer": {"lag": f"{SECOND_S} s"}, "gyro": GYRO, "accelerometer": FORCE}
-MOVES = [{"rest": "37 s"}, {"turn": "180 deg"}, {"rest": "53 s"}, {"turn": "-180 deg"}]
 COURSE = [
     {"soak": "3 min", "at": "10 degC", "used": True},
     {"ramp_to": "36 degC", "rate": "2 K/min"},
@@ -54,20 +50,9 @@ COURSE = [
 ]
 
 
-def spec_with(sensor: dict[str, Any], programme: list[dict[str, Any]] | None = None, **more: Any) -> Spec:
-    axis = {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
-    angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
-    mounting = {"x": "+z", "y": "+y", "z": "-x"}
-    return spec_of({
-        "format": "gradcal-spec/1", "sensor": sensor,
-        "rig": {
-            "site": {"latitude": "40 deg", "gravity": "9.8 m/s^2"},
-            "table": {"axis": [axis | {"angle": angle}], "mounting": mounting, "standing": "held"},
-            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
-        },
-        "plan": {"method": "gradient", "programme": programme or COURSE, "cycle": {"moves": MOVES}},
-        **more,
-    })  # fmt: skip
+def spec_with(sensor: dict[str, Any], requirement: tuple[dict[str, Any], ...] = ()) -> Spec:
+    course = {"method": "gradient", "programme": COURSE, "cycle": {"moves": MOVES}}
+    return spec_of_table(sensor, course, requirement, standing="held", **LEVEL)
 
 
 def lagging(time: np.ndarray, temperature: np.ndarray, lag: float) -> np.ndarray:
@@ -85,25 +70,18 @@ def lagging(time: np.ndarray, temperature: np.ndarray, lag: float) -> np.ndarray
 
 def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     """Columns of a channel over each piece, by sums over fine steps of the motion."""
-    line, parts = built.motion.line, 800
-    v = (np.arange(parts) + 0.5) / parts
-    places = np.broadcast_to(v, (line.piece_count, parts))
-    temperature, rate = line.temperature(places), line.rate(places)
-    time, weight = line.start[:, None] + places * line.duration[:, None], line.duration[:, None] / parts
-    begin, _ = line.ends()
-    moments, course = np.append(line.start[0], time.ravel()), np.append(begin[0], temperature.ravel())
+    steps, (begin, _) = fine(built, 800), built.motion.line.ends()
+    temperature, drive = steps.temperature, steps.rate
+    moments = np.append(built.motion.line.start[0], steps.time.ravel())
+    course = np.append(begin[0], temperature.ravel())
 
     def late(lag: float) -> np.ndarray:
         return lagging(moments, course, lag)[1:].reshape(temperature.shape)
 
-    earth = np.zeros_like(rate)
-    for g in built.body_nodes().groups:
-        earth[g.pieces] = g.earth[g.kind, 0, 2][:, None]
-    drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
     result = {"thermometer_difference": late(SECOND_S) - temperature}
     if channel == "gyro_z":
         result["b01"] = (temperature - 20.0) / 30.0 * drive
-    return {name: np.sum(of * weight, axis=1) for name, of in result.items()}
+    return {name: np.sum(of * steps.weight, axis=1) for name, of in result.items()}
 
 
 @pytest.mark.parametrize("lag", [None, "200 s", "120 s"])
@@ -125,16 +103,11 @@ def test_columns_are_the_integrals_of_the_definition(lag):
     assert compared == 3
 
 
-def test_the_difference_needs_a_second_thermometer():
-    with pytest.raises(SpecError, match="needs a second thermometer"):
-        spec_with({key: value for key, value in SENSOR.items() if key != "second_thermometer"})
-
-
 def test_a_requirement_counts_the_slope_of_the_service():
     """At a constant dT/dt the function is minus the lag of the second thermometer times it."""
     sensor = {key: SENSOR[key] for key in ("clock", "second_thermometer", "gyro")}
     of = {"name": "b", "quantity": "gyro_bias", "temperature": ["15 degC", "30 degC"], "branch": "heating", "grid": [2]}
-    built = build_imu(spec_with(sensor, requirement=[of | {"slope": ["1 K/min", "1 K/min"]}]))
+    built = build_imu(spec_with(sensor, requirement=(of | {"slope": ["1 K/min", "1 K/min"]},)))
     (element,) = quantity_of(built, built.spec.requirement[0]).elements
     names = np.array(built.model.channels[0].names())[element.where]
     own = dict(zip(names, element.rows[0, 0], strict=True))
@@ -186,25 +159,3 @@ def test_a_calibration_takes_off_what_follows_late_and_names_the_rest(tmp_path):
         estimate_sensors(report.built.spec, [replace(log, second_temperature_c=None)])
     done = export(calibration, "px4")
     assert sum(note.endswith("is lost") for note in done.notes) == len(calibration.path)
-
-
-def test_a_column_map_reads_the_second_thermometer(tmp_path):
-    rows = np.column_stack(
-        [np.arange(50) / 10.0, np.full((50, 3), 0.1), np.linspace(20, 21, 50), np.linspace(70, 68, 50)]
-    )
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,x,y,z,die,case", comments="")
-    columns = """
-        format = "gradcal-columns/1"
-        time = { column = "t", unit = "s" }
-        temperature = { column = "die", unit = "degC" }
-        second_temperature = { column = "case", unit = "degF" }
-        [rate]
-        x = { column = "x", unit = "deg/s" }
-    """
-    log = import_log(tmp_path / "log.csv", parse_column_map(columns))
-    assert log.second_temperature_c is not None
-    assert log.second_temperature_c[0, [0, -1]] == pytest.approx([(70 - 32) / 1.8, 20.0])
-    write_log(log, tmp_path / "log.nc")
-    again = read_log(tmp_path / "log.nc").second_temperature_c
-    assert again is not None
-    np.testing.assert_array_equal(again, log.second_temperature_c)

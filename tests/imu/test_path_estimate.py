@@ -86,11 +86,6 @@ def test_an_exact_play_is_recovered():
             assert one.standard_deviation < 0.4 * HOUR
 
 
-def test_a_one_way_record_says_what_remains():
-    report, _ = estimated(ways=1)
-    assert any(m.startswith("hysteresis is not observable; ±") for m in report.messages)
-
-
 def test_the_loop_is_drawn_leg_by_leg():
     report, truth = estimated()
     curve = report.curves[int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))]
@@ -107,14 +102,6 @@ def test_the_loop_is_drawn_leg_by_leg():
     apart = (curve.measured - curve.model) / HOUR
     assert np.std(apart) < 0.5 * np.std((curve.measured - curve.map) / HOUR)
     assert isinstance(draw_estimate(EstimateReport((report,))), Figure)
-
-
-def test_legs_end_at_turning_points():
-    temperature = np.concatenate(
-        [np.linspace(20.0, -10.0, 40), np.linspace(-10.0, 60.0, 80), np.linspace(60.0, 30.0, 40)]
-    )
-    assert legs_of(temperature) == [(0, 40), (39, 120), (119, 160)]
-    assert legs_of(np.linspace(0.0, 1.0, 9)) == [(0, 9)]
 
 
 def test_what_follows_dt_dt_is_taken_off_exactly_and_plays_are_named():

@@ -1,24 +1,18 @@
 """Terms of the path of temperature, against a play that is stepped sample by sample, and dense integrals."""
 
-from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from path_scene import LEVEL, MOVES, fine, spec_of_table
 
 from gradcal_jax.estimation.executed_nodes import turning_points
 from gradcal_jax.formulas import play_states
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.motion import TableMotion, body_nodes
-from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.problems import SpecError
 
 DEG = np.pi / 180.0
 HOUR = DEG / 3600.0
-G = 9.80665
 WIDTHS = (4.0, 9.0)
 LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
 FLAT = LINEAR | {"degree": 0}
@@ -37,7 +31,6 @@ FORCE: dict[str, Any] = {
     "hysteresis": [{"width": "9 K", "prior": "30 ug/K"}],
     "scale_factor_hysteresis": [{"width": "4 K", "prior": "10 ppm/K"}],
 }  # fmt: skip
-MOVES = [{"rest": "37 s"}, {"turn": "180 deg"}, {"rest": "53 s"}, {"turn": "-180 deg"}]
 COURSE = [
     {"soak": "3 min", "at": "10 degC", "used": True},
     {"ramp_to": "36 degC", "rate": "2 K/min"},
@@ -48,20 +41,8 @@ COURSE = [
 
 
 def spec_with(sensor: dict[str, Any], plan: dict[str, Any] | None = None, standing: str = "held") -> Spec:
-    axis = {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
-    angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
     course = {"method": "gradient", "programme": COURSE, "cycle": {"moves": MOVES}}
-    mounting = {"x": "+z", "y": "+y", "z": "-x"}
-    return spec_of({
-        "format": "gradcal-spec/1",
-        "sensor": {"clock": "sensor", **sensor},
-        "rig": {
-            "site": {"latitude": "40 deg", "gravity": f"{G} m/s^2"},
-            "table": {"axis": [axis | {"angle": angle}], "mounting": mounting, "standing": standing},
-            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
-        },
-        "plan": plan or course,
-    })  # fmt: skip
+    return spec_of_table(sensor, plan or course, standing=standing, **LEVEL)
 
 
 def stepped(temperature: np.ndarray, width: float, state: float) -> np.ndarray:
@@ -95,29 +76,12 @@ def test_turning_points_keep_the_states_of_a_course():
     assert list(turning_points(np.array([3.0]))) == [3.0]
 
 
-def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
+def dense_columns(built: BuiltImu) -> dict[str, np.ndarray]:
     """Every path column of a channel over each piece, by sums over fine steps of the motion."""
-    line = built.motion.line
-    parts = 4000
-    v = (np.arange(parts) + 0.5) / parts
-    places = np.broadcast_to(v, (line.piece_count, parts))
-    temperature, rate = line.temperature(places), line.rate(places)
-    # The gyro along z of the body is against the axis; the force along it turns with it.
-    before, _ = built.motion.angles()
-    angle = before + line.angle(places)
-    nodes = built.body_nodes()
-    if channel == "gyro_z":
-        earth = np.zeros_like(rate)
-        for g in nodes.groups:
-            earth[g.pieces] = g.earth[g.kind, 0, 2][:, None]
-        drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
-    else:
-        drive = np.zeros_like(angle)
-    begin, end = line.ends()
+    steps, (begin, end) = fine(built, 4000), built.motion.line.ends()
+    temperature, weight, drive = steps.temperature, steps.weight, steps.rate
     # With the ends of the pieces, where the course turns.
     course = np.concatenate([begin[:1], np.column_stack([temperature, end]).ravel()])
-    weight = line.duration[:, None] / parts
-    slope = line.temperature_slope(places * line.duration[:, None])
     result = {}
     for width in WIDTHS:
         low, high = (stepped(course, width, course[0] + s * width)[1:] for s in (-1.0, 1.0))
@@ -127,7 +91,7 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
         result[f"hysteresis_{width:g}K_start"] = np.sum(left * weight, axis=1)
         result[f"scale_factor_hysteresis_{width:g}K"] = np.sum(h * drive * weight, axis=1)
         result[f"scale_factor_hysteresis_{width:g}K_start"] = np.sum(left * drive * weight, axis=1)
-    result["gradient"] = np.sum(slope * drive * weight, axis=1)
+    result["gradient"] = np.sum(steps.slope * drive * weight, axis=1)
     return result
 
 
@@ -138,7 +102,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
     built = build_imu(spec_with(sensor))
     model, nodes = built.model, built.body_nodes()
     for c, columns in zip(model.channels, model.own_columns(nodes), strict=True):
-        dense = dense_columns(built, c.name)
+        dense = dense_columns(built)
         names = c.names()
         compared = [n for n in dense if n in names and (c.kind == "gyro" or not n.startswith("scale"))]
         assert len(compared) == (7 if c.kind == "gyro" else 2)
@@ -196,48 +160,3 @@ def test_what_is_known_before_the_plan_settles_the_initial_state():
     assert np.array(starts) == pytest.approx(begins, abs=0.05)
     assert known[2] < 0.2 * known[0]
     assert known[3] == pytest.approx(known[2], rel=1e-9)
-
-
-def test_two_entries_of_one_width_are_refused():
-    plays = [{"width": "6 K", "prior": "5 deg/h/K"}, {"width": "6000 mK", "prior": "1 deg/h/K"}]
-    with pytest.raises(SpecError, match="two entries have the same width"):
-        rested({"hysteresis": plays}, COURSE)
-
-
-def course_of(motion: TableMotion, top, slope, xp) -> TableMotion:
-    """The motion with another turning point (°C) and another slope (K/s) after it, in the same times."""
-    line = motion.line
-    begin, end = line.ends()
-    turned = int(np.argmax(end)) + 1
-    first = float(line.start[turned])
-    rising = (top - begin[0]) / (first - line.start[0])
-    level = xp.where(
-        np.arange(line.piece_count) < turned,
-        begin[0] + rising * (line.start - line.start[0]),
-        top + slope * (line.start - first),
-    )
-    slopes = xp.where(np.arange(line.piece_count) < turned, rising, slope)
-    return replace(motion, line=replace(line, level=level, slope=slopes))
-
-
-def test_gradients_through_the_turning_point_and_the_slope():
-    """Exact derivatives of the columns against differences, for what `optimise` of legs and slopes will need."""
-    programme = [
-        {"soak": "1 s", "at": "0 degC", "used": True},
-        {"ramp_to": "30 degC", "rate": "2 K/min"},
-        {"ramp_to": "5 degC", "rate": "1 K/min"},
-    ]
-    built = rested({"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}, programme)
-    weights = np.random.default_rng(1).normal(size=(built.motion.line.piece_count, built.model.size))
-
-    def value(top, slope, xp=np):
-        nodes = body_nodes(course_of(built.motion, top, slope, xp), 8)
-        return xp.sum(weights * built.model.own_columns(nodes)[0])
-
-    at = np.array([29.3, -1.03 / 60.0])
-    exact = jax.jit(jax.grad(lambda p: value(p[0], p[1], jnp)))(jnp.asarray(at))
-    for k, step in enumerate((1e-4, 1e-7)):
-        by = np.eye(2)[k] * step
-        for side in (1.0, -1.0):
-            apart = (value(*(at + side * by)) - value(*at)) / (side * step)
-            assert float(exact[k]) == pytest.approx(float(apart), rel=2e-4)

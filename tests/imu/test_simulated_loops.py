@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from loop_laws import LoopTruth
 
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import PlayTruth, SimulatedImu
@@ -12,39 +11,6 @@ from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
 
 HOUR = np.pi / 180.0 / 3600.0
-PERIOD_S = 2.0
-UP = np.arange(-30.0, 70.0, 2.0 / 60.0 * PERIOD_S)
-
-
-def legs(law: str, courses: list[np.ndarray], seed: int = 1) -> list[np.ndarray]:
-    loop = LoopTruth(law, (1.0, 2.0, 0.0), 10.0, seed).begin(float(courses[0][0]))  # pyright: ignore[reportArgumentType]
-    return [loop(course, PERIOD_S) for course in courses]
-
-
-@pytest.mark.parametrize("law", ["relays", "thermal masses"])
-def test_wide_legs_differ_by_twice_the_size(law):
-    # On a slope of 0.5 K/min two masses differ by half as much as on 1 K/min, in the steady state.
-    course, expected = (UP, 1.0) if law == "relays" else (np.linspace(-30.0, 70.0, 6000), 0.5)
-    _, down, up = legs(law, [course, course[::-1], course])
-    middle = (course > 0.0) & (course < 50.0)
-    half = 0.5 * (up - down[::-1])[middle]
-    assert np.mean(half[:, 0]) == pytest.approx(expected, rel=0.1)
-    assert half[:, 1] == pytest.approx(2.0 * half[:, 0])
-    assert np.all(half[:, 2] == 0.0)
-    mean = 0.5 * (up + down[::-1])[middle, 0]
-    assert np.std(mean) < 0.5
-
-
-def test_relays_remember_a_reversal_and_not_the_time():
-    """A small excursion closes on the leg that it left (return-point memory), however slowly."""
-    there = UP[UP < 20.0]
-    back = np.linspace(20.0, 8.0, 200)
-    first, _, _, after = legs("relays", [there, back, back[::-1], np.full(5, 20.0)])
-    assert after[-1] == pytest.approx(first[-1], abs=0.02)
-    waited = legs("relays", [there, np.full(5000, there[-1])])[1]
-    assert np.ptp(waited[:, 0]) < 0.01
-    masses = legs("thermal masses", [there, np.full(5000, there[-1])])[1]
-    assert abs(masses[-1, 0]) < 1e-3 < abs(masses[0, 0])
 
 
 class Ramp(ChamberPlant):

@@ -1,6 +1,5 @@
 """Gravity as the only reference of a table's angles: what a spec may say, what is predicted, counted and estimated."""
 
-import tomllib
 from dataclasses import replace
 
 import imu_twin
@@ -19,7 +18,6 @@ from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.motion import Geometry, frames
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.tables.problems import SpecError
 
 GRAVITY = {"reference": "gravity"}
@@ -50,24 +48,7 @@ def test_what_needs_an_encoder_is_refused(change, said):
         gj.changed(PRESET, change)
 
 
-def test_gravity_is_the_reference_of_all_axes_or_of_none():
-    document = tomllib.loads(presets.text("gimbal-by-hand"))
-    document["rig"]["table"]["axis"][1]["angle"] = GRAVITY
-    with pytest.raises(SpecError, match="of all axes or of none"):
-        spec_of(document)
-
-
 # --- prediction -------------------------------------------------------------------------------------------------------
-
-
-def test_a_level_axis_without_an_encoder_costs_little():
-    """As an encoder with a hopeless standstill offset: 6.33 ppm in the place of 5.84."""
-    spec = gj.parse_spec(presets.text("one-axis-table"))
-    hopeless = gj.changed(spec, {"rig.table.axis[0].angle": {"reading_noise": "5 deg", "standstill_offset": "5 deg"}})
-    figures = [gj.predict(of).requirements[0].mean_of_max for of in (spec, without_encoder(spec), hopeless)]
-    assert figures[0] == pytest.approx(5.836, abs=0.01)
-    assert figures[1] == pytest.approx(6.327, abs=0.01)
-    assert figures[1] == pytest.approx(figures[2], rel=1e-3)
 
 
 def test_a_vertical_axis_is_said_with_its_remedy():
@@ -158,18 +139,6 @@ def test_about_a_vertical_axis_the_gyros_integral_is_kept():
     rows, geometry, true = turning([90.0, 360.0, -200.0], 0.01, tilt=np.pi / 2)
     found = angles_by_gravity(rows, geometry, np.zeros(1))
     assert found.angles[rows.standing, 0] == pytest.approx(1.01 * true[rows.standing], abs=1e-3)
-
-
-def test_of_mirror_images_the_one_near_the_plans_begin_counts():
-    rows, geometry, true = turning([90.0, 180.0])
-    turned = geometry.axes[0]
-    two = replace(geometry, axes=np.array([turned, [0.0, 0.0, 1.0]]))
-    for start in (np.array([0.3, 0.2]), np.array([0.3, np.pi])):
-        found = angles_by_gravity(rows._replace(angles=np.full((len(true), 2), np.nan)), two, start).angles
-        first = found[0]
-        up = frames(two, first[None], np.zeros(1, int)).attitude[0, 2]
-        assert up == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
-        assert np.linalg.norm(first - start) < np.pi
 
 
 # --- estimates --------------------------------------------------------------------------------------------------------

@@ -37,7 +37,6 @@ AXES = {"axis readings", "axis standard"}
 # What an axis's own estimator called its tests; that of halves divided the readings, not the rows.
 TESTS_OF_AXES = {
     "gyro_x: χ² of the fit": "chi-squared of the fit",
-    "gyro_x: whiteness of the residuals": "gyro_x: whiteness",
 }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from report_samples import calibration, recipe
 
-from gradcal_jax.estimation.fit_of_log import residuals_of
+from gradcal_jax.estimation.calibration_of_fit import residuals_of
 from gradcal_jax.plots.calibration_maps import draw_residuals
 
 

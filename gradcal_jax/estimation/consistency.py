@@ -1,5 +1,5 @@
-"""Tests of a fit against the model, on whitened residuals, which are independent with variance one: is the noise as large
-as in the spec?"""
+"""Tests of a fit against the model, on whitened residuals, which are independent with variance one: is the noise as
+large as in the spec?"""
 
 from typing import NamedTuple
 

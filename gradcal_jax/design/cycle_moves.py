@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gradcal_jax.design.slots import Cycle, TableLimits, Turn
+from gradcal_jax.design.slots import Cycle, SlotTurn, TableLimits
 
 # A turn below this (rad) is none.
 _NOTHING = 1e-6
@@ -44,7 +44,7 @@ class Neighbourhood:
                 return changed
         return cycle
 
-    def _changed(self, items: list[Turn], rng: np.random.Generator) -> Cycle:
+    def _changed(self, items: list[SlotTurn], rng: np.random.Generator) -> Cycle:
         k = int(rng.integers(len(items)))
         item = items[k]
         what = rng.choice(list(_CHANGES), p=list(_CHANGES.values()))
@@ -76,7 +76,7 @@ class Neighbourhood:
         """A random cycle of `count` turns."""
         return self.within([self._drawn(rng) for _ in range(count)])
 
-    def within(self, items: Sequence[Turn]) -> Cycle:
+    def within(self, items: Sequence[SlotTurn]) -> Cycle:
         """The cycle with turns no larger than the largest, on axes of limited travel within their reach."""
         here, result = self.limits.start.copy(), []
         for t in items:
@@ -93,11 +93,11 @@ class Neighbourhood:
                 result.append(t._replace(angle=float(angle)))
         return tuple(result)
 
-    def _drawn(self, rng: np.random.Generator) -> Turn:
+    def _drawn(self, rng: np.random.Generator) -> SlotTurn:
         axis = int(rng.integers(len(self.limits.rates)))
         angle = float(rng.choice(_ANGLES)) * _sign(rng)
         rate = float(self.limits.rates[axis]) * float(rng.uniform(0.1, 1.0))
-        return Turn(axis, angle, rate, self.limits.shortest + float(rng.exponential(6.0)))
+        return SlotTurn(axis, angle, rate, self.limits.shortest + float(rng.exponential(6.0)))
 
 
 def _sign(rng: np.random.Generator) -> int:

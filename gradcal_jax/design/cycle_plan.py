@@ -12,7 +12,7 @@ from gradcal_jax.design.cycle_rounding import CycleRounding
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.design.plan_value import PlanValue, largest_alike
-from gradcal_jax.design.slots import EMPTY, Cycle, CycleCoordinates, Structure, TableLimits, Turn, Visits
+from gradcal_jax.design.slots import EMPTY, Cycle, CycleCoordinates, SlotTurn, Structure, TableLimits, Visits
 from gradcal_jax.design.visits import VisitTimes, cycle_in_visits, rest_spacing, shortest_rest
 from gradcal_jax.model import OwnTerm
 from gradcal_jax.model.build import waves_of
@@ -136,7 +136,7 @@ class CyclePlan:
         if self._times is None:
             return self.start._replace(course=tuple(rng.standard_normal(len(self.start.course)).tolist()))
         waits = visits.waits() if visits.other else np.zeros(count)
-        full = tuple(Turn(0 if k else -1, 1.0, 1.0, 0.0 if waits[k] else 1.0) for k in range(count))
+        full = tuple(SlotTurn(0 if k else -1, 1.0, 1.0, 0.0 if waits[k] else 1.0) for k in range(count))
         point = np.concatenate([rng.standard_normal(3 * count), np.array(self.start.course)])
         return self.at(point, self.coordinates.structure(full))
 
@@ -213,11 +213,11 @@ class CyclePlan:
 
 def _cycle_of(spec: Spec) -> Cycle:
     """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
-    turns: list[Turn] = []
+    turns: list[SlotTurn] = []
     begins = 0.0
     for s in spec.plain_schedule.steps:
         if s.axis >= 0:
-            turns.append(Turn(s.axis, s.move.angle, s.move.fastest, 0.0))
+            turns.append(SlotTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
         elif turns:
             turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
         else:
@@ -225,7 +225,7 @@ def _cycle_of(spec: Spec) -> Cycle:
     if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
         turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
     elif begins:
-        turns.insert(0, Turn(-1, 0.0, 0.0, begins))
+        turns.insert(0, SlotTurn(-1, 0.0, 0.0, begins))
     return tuple(turns)
 
 

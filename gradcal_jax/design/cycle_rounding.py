@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.design.slots import SHAPE, Cycle, TableLimits, Turn, Visits
+from gradcal_jax.design.slots import SHAPE, Cycle, SlotTurn, TableLimits, Visits
 
 # A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
 _SHOWS = 0.5
@@ -65,7 +65,7 @@ class CycleRounding(NamedTuple):
             longest = max(items, key=lambda item: abs(item[1]))
             less = longest[2] * (math.ceil((over - period) / self.grid - _SLACK) + 1) * self.grid
             longest[1] = round(math.copysign(max(abs(longest[1]) - less, 0.0), longest[1]), 6)
-        return tuple(Turn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+        return tuple(SlotTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
 
     def visits(self, cycle: Cycle, of: Visits) -> list[tuple[Cycle, float]]:
         """The rounded cycle of each visit, and how long other axes have the table after it (s): until the next one."""

@@ -45,7 +45,7 @@ _LOW, _HIGH, _NEAR_LIMIT = 0.02, 0.98, 0.999
 _FULL, _BRIEF = 1.0 - 1e-4, 1e-4
 
 
-class Turn(NamedTuple):
+class SlotTurn(NamedTuple):
     """A turn of `axis` (−1: none) by `angle` rad at up to `rate` rad/s, then a rest of `rest` s (0: none)."""
 
     axis: int
@@ -54,8 +54,8 @@ class Turn(NamedTuple):
     rest: float
 
 
-Cycle = tuple[Turn, ...]
-EMPTY = Turn(-1, 0.0, 0.0, 0.0)
+Cycle = tuple[SlotTurn, ...]
+EMPTY = SlotTurn(-1, 0.0, 0.0, 0.0)
 
 
 class TableLimits(NamedTuple):
@@ -75,7 +75,7 @@ class TableLimits(NamedTuple):
     longest: float
     read_every: float = math.inf
 
-    def time_of(self, t: Turn) -> float:
+    def time_of(self, t: SlotTurn) -> float:
         """How long (s) a turn takes that is as steep as its axis allows."""
         if t.axis < 0 or not t.angle:
             return 0.0
@@ -154,7 +154,7 @@ class CycleCoordinates(NamedTuple):
         """Sizes of the units of a pose, a rate and a rest."""
         return _UNITS if self.visits.number == 1 and not self.timed else np.ones((3, 1))
 
-    def structure(self, cycle: Sequence[Turn]) -> Structure:
+    def structure(self, cycle: Sequence[SlotTurn]) -> Structure:
         """The structure of a cycle of at most `K` turns."""
         slots, axes = self.slots, len(self.limits.rates)
         axis, rests = np.full(slots, -1), np.zeros(slots, bool)
@@ -169,7 +169,7 @@ class CycleCoordinates(NamedTuple):
         whole = np.where(free, np.round(net / (2.0 * np.pi)) * 2.0 * np.pi, 0.0)
         return Structure(axis, rests, before, closes, whole)
 
-    def encode(self, cycle: Sequence[Turn]) -> Float[np.ndarray, "3 K"]:
+    def encode(self, cycle: Sequence[SlotTurn]) -> Float[np.ndarray, "3 K"]:
         """Coordinates of a cycle, moved off the bounds."""
         z, limits = np.zeros((3, self.slots)), self.limits
         here = limits.start.copy()
@@ -189,7 +189,7 @@ class CycleCoordinates(NamedTuple):
                 z[2, k] = np.log(max(t.rest - limits.shortest, _SOFT / 10.0))
         return z / self.units
 
-    def _of_time(self, t: Turn) -> tuple[float, float]:
+    def _of_time(self, t: SlotTurn) -> tuple[float, float]:
         """The logarithm of the time of a turn beyond the least, and of its share of the fastest rate in that time."""
         rate, steepest = float(self.limits.rates[t.axis]), float(self.limits.accelerations[t.axis])
         lasting = self.limits.time_of(t)
@@ -260,7 +260,7 @@ class CycleCoordinates(NamedTuple):
         """The cycle of decoded coordinates; of several visits, where a slot has its place, with its empty slots."""
         angle, rate, _, _, rests, _ = (np.asarray(x) for x in decoded)
         turns = (
-            Turn(int(l), float(a), float(abs(w)), float(r))
+            SlotTurn(int(l), float(a), float(abs(w)), float(r))
             for l, a, w, r in zip(np.asarray(of.axis), angle, rate, rests, strict=True)
         )
         placed = self.visits.number > 1 or self.timed

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.design.slots import EMPTY, LEAST_TURN, Cycle, TableLimits, Turn, Visits
+from gradcal_jax.design.slots import EMPTY, LEAST_TURN, Cycle, SlotTurn, TableLimits, Visits
 from gradcal_jax.formulas import repetitions
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.spec.changes import changed
@@ -150,17 +150,17 @@ def rest_spacing(spec: Spec) -> float:
 def cycle_in_visits(spec: Spec, times: VisitTimes, limits: TableLimits) -> tuple[Visits, Cycle]:
     """The slots of the visits: a rest before the first turn of all, then turns with rests between them and, where no
     other axis waits, behind the last; with the moves of the file's cycle, as many as it has, in every visit."""
-    own, slots, group = moves_of_visits(spec), list[Turn](), list[int]()
+    own, slots, group = moves_of_visits(spec), list[SlotTurn](), list[int]()
     whole = spec.gradient_schedule.stretches[0].duration
     tail = times.other if times.cycles > 1 else whole - times.visits * times.own - (times.visits - 1) * times.other
     tail = tail if tail > _LEFT else 0.0
     for visit in range(times.visits):
-        turns = [Turn(-1, 0.0, 0.0, limits.shortest)]
+        turns = [SlotTurn(-1, 0.0, 0.0, limits.shortest)]
         for move in own[visit % len(own)]:
             if move.is_rest:
                 turns[-1] = turns[-1]._replace(rest=turns[-1].rest + move.duration)
             else:
-                turns.append(Turn(0, move.angle, move.fastest, 0.0))
+                turns.append(SlotTurn(0, move.angle, move.fastest, 0.0))
         turns = turns if visit == 0 else turns[1:]
         if times.other and (visit < times.visits - 1 or tail):
             turns[-1] = turns[-1]._replace(rest=0.0)

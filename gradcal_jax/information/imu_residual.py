@@ -166,7 +166,7 @@ def _elements(
         if isinstance(requirement, MissionHeadingRequirement):
             rows = np.zeros((len(requirement.mission), model.size))
             for row, mission in zip(rows, requirement.mission, strict=True):
-                time, rate, temperature, _ = (np.array(column) for column in mission.rows)
+                time, rate, temperature = map(np.array, mission.rows)
                 row[model.where(c.kind, c.axis)] = mission_row(c, time, rate, temperature)
             yield grid_element(model, axis, rows)
             continue

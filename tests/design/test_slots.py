@@ -9,7 +9,7 @@ import pytest
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.plan_objective import largest_log
 from gradcal_jax.design.plan_value import inverse_root, largest_alike, nodes_for
-from gradcal_jax.design.slots import CycleCoordinates, TableLimits, Turn, Visits
+from gradcal_jax.design.slots import CycleCoordinates, SlotTurn, TableLimits, Visits
 
 LIMITS = TableLimits(
     rates=np.array([3.0, 5.0]),
@@ -21,11 +21,11 @@ LIMITS = TableLimits(
     longest=100.0,
 )
 CYCLE = (
-    Turn(1, 7.0, 2.5, 4.0),
-    Turn(0, 0.9, 1.0, 0.0),
-    Turn(1, -3.0, 0.8, 6.0),
-    Turn(0, -0.9, 0.7, 3.0),
-    Turn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
+    SlotTurn(1, 7.0, 2.5, 4.0),
+    SlotTurn(0, 0.9, 1.0, 0.0),
+    SlotTurn(1, -3.0, 0.8, 6.0),
+    SlotTurn(0, -0.9, 0.7, 3.0),
+    SlotTurn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
 )
 
 
@@ -120,7 +120,7 @@ def test_changed_cycles_keep_the_reach_and_the_number_of_turns():
         assert np.all((poses >= -1.5 - 1e-12) & (poses <= 2.0 + 1e-12))
     assert len(kinds) >= 6
     # A turn beyond one end goes the other way, as far as the axis does; at its end nothing is left of a turn.
-    far = Turn(0, 9.0, 1.0, 3.0)
+    far = SlotTurn(0, 9.0, 1.0, 3.0)
     assert [t.angle for t in around.within([CYCLE[0], far, far])] == pytest.approx([7.0, -1.8])
     drawn = around.random(30, rng)
     assert 7 < len(drawn) <= 30

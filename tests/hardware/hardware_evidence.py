@@ -17,7 +17,7 @@ byte for byte, over pseudo-terminals, but none of the figures comes from hardwar
 _FOOT = """
 Shown by tests, without figures:
 
-* a full disk and too little space end or pause a run (`test_journal_and_safety`, `test_runner`);
+* a full disk and too little space end a run (`test_journal_and_safety`, `test_runner`);
 * a chamber's alarm, an axis' fault and pulled cables abort it and the rest is made safe (`test_runner`, a long proof);
 * the wall clock stepped by years changes nothing (`test_journal_and_safety`, `test_clock_and_physics`);
 * of two runs on one port the second is refused (`test_transport`);
@@ -28,7 +28,7 @@ Shown by tests, without figures:
   removed before the run is killed, the rig is made safe (`test_guard`);
 * commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed
   (`test_line_devices`, `test_frames`);
-* somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, pauses, gives up and goes on
+* somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, gives up and goes on
   (`test_operator`, on a pseudo-terminal of its own);
 * minimalmodbus speaks with the simulated F4 (`test_line_devices`).
 """

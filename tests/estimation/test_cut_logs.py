@@ -1,15 +1,27 @@
 """A log that ends before its plan does: what it lacks is said."""
 
+from dataclasses import replace
+
 from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
 from gradcal_jax.estimation.findings import lacks_of
-from gradcal_jax.records.log import Log, part_of
+from gradcal_jax.records.log import Log
 
 
 def cut(log: Log, share: float) -> Log:
-    return part_of(log, rows=(0, int(share * len(log.time_s))))
+    end = int(share * len(log.time_s))
+    assert log.readings is not None
+    return replace(
+        log,
+        time_s=log.time_s[:end],
+        rate_rad_per_s=log.rate_rad_per_s[:, :end],
+        temperature_c=log.temperature_c[:, :end],
+        standstill=log.standstill[:end],
+        readings=log.readings._chosen(log.readings.row < end),
+        rows_read=end,
+    )
 
 
 def test_a_log_that_ends_early_says_what_it_lacks():

@@ -107,7 +107,7 @@ class Speaker(ABC):
 class DescribedDevice:
     def __init__(self, speaker: Speaker) -> None:
         self._speaker, self._config, self._said = speaker, speaker.config, speaker.said
-        self._exchange, self._clock, self._title = speaker.exchange, speaker.clock, speaker.title
+        self._clock, self._title = speaker.clock, speaker.title
 
     def identify(self) -> roles.Identity:
         known = self._speaker.read("model", "serial", "firmware")

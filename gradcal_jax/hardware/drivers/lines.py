@@ -214,8 +214,10 @@ class LinesAxis(DescribedDevice, MotionAxis):
     def limits(self) -> AxisLimits:
         said = self._said.limits
         rate, acceleration, step = (math.degrees(of) for of in (said.max_rate, said.max_acceleration, said.step))
-        ends = (None if end is None else math.degrees(end) for end in (said.lowest_angle, said.highest_angle))
-        return AxisLimits(min(rate, self._own_max_rate_dps), acceleration, *ends, step)
+        lowest, highest = (
+            None if end is None else math.degrees(end) for end in (said.lowest_angle, said.highest_angle)
+        )
+        return AxisLimits(min(rate, self._own_max_rate_dps), acceleration, lowest, highest, step)
 
     @cached_property
     def _own_max_rate_dps(self) -> float:

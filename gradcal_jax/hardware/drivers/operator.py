@@ -128,11 +128,12 @@ class OperatorAxis(MotionAxis):
         return replace(encoder, driver="operator", model=f"turned by hand, encoder of {encoder.driver} {encoder.model}")
 
     def limits(self) -> AxisLimits:
-        travel_deg, most = math.degrees(self._config.travel), (self._config.max_rate, self._config.max_acceleration)
-        ends = (None, None) if math.isinf(travel_deg) else (-travel_deg, travel_deg)
+        most = (self._config.max_rate, self._config.max_acceleration, self._config.travel)
+        rate, acceleration, travel_deg = map(math.degrees, most)
+        lowest, highest = (None, None) if math.isinf(travel_deg) else (-travel_deg, travel_deg)
         grid = _SCALE_DEG if self._encoder is None else self._encoder.limits().resolution_deg
         told = self._told and self._encoder is None
-        return AxisLimits(*map(math.degrees, most), *ends, grid, by_hand=True, typed=self._types, told=told)
+        return AxisLimits(rate, acceleration, lowest, highest, grid, by_hand=True, typed=self._types, told=told)
 
     def read(self) -> AxisReading:
         if self._asked:

@@ -86,8 +86,13 @@ class Registers(Speaker):
 
         rounded = value if entry.type == "float32" else number / 10.0**decimals
         what = f"{self.title}: {command} ({name} = {value:g})"
-        read, shows = lambda: self._number(shown_in), lambda shown: abs(shown - rounded) <= near
-        command_and_verify(self.clock, what, lambda: self._query(body, repeat=False), read, shows)
+        command_and_verify(
+            self.clock,
+            what,
+            lambda: self._query(body, repeat=False),
+            lambda: self._number(shown_in),
+            lambda shown: abs(shown - rounded) <= near,
+        )
         return f"{rounded:.6g}"
 
     def _text(self, name: str) -> str:

@@ -18,7 +18,7 @@ from gradcal_jax.estimation.imu_rows import (
     PIECE_S,
     ExecutedImu,
     ImuRows,
-    Pieces,
+    PieceBuilder,
     mean_angles,
     mean_known,
     way_of,
@@ -75,7 +75,7 @@ def executed_imu(log: ImuRows, geometry: Geometry, read_every: float = PIECE_S) 
     ]
     angles, averaged = _own_angles(log, spans, [leg for between in legs for leg in between])
     goals, at = [iter(own[1:]) for own in angles], np.array([own[0] for own in angles])
-    start, pieces = at.copy(), Pieces(log, spans[0][0])
+    start, pieces = at.copy(), PieceBuilder(log, spans[0][0])
     for (_, last), between in itertools.zip_longest(spans, legs, fillvalue=[]):
         pieces.rest(last, read_every)
         for leg in between:

@@ -71,7 +71,7 @@ class ExecutedImu(NamedTuple):
     averaged: tuple[np.ndarray, ...] = ()
 
 
-class Pieces:
+class PieceBuilder:
     """The pieces of a motion, added in order of time, from row `first` on."""
 
     def __init__(self, log: ImuRows, first: int) -> None:

@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.gyro_stops import SEEN
-from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows, Pieces, mean_known, way_of
+from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows, PieceBuilder, mean_known, way_of
 from gradcal_jax.formulas import runs
 from gradcal_jax.motion import Geometry, frames
 
@@ -38,7 +38,7 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
         raise ValueError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     worth = np.ones(len(read)) if log.worth is None else log.worth
     stands = [float(np.average(log.angles[rows, 0], weights=worth[rows])) for rows in groups]
-    speed, pieces = _speed(log, geometry), Pieces(log, int(groups[0][0]))
+    speed, pieces = _speed(log, geometry), PieceBuilder(log, int(groups[0][0]))
     for number, (first, *others) in enumerate(groups):
         if number and not pieces.whole(first):
             pieces.add(int(first), 0, np.linspace(0.0, stands[number] - stands[number - 1], 3), lost=True)
@@ -68,7 +68,7 @@ def _speed(log: ImuRows, geometry: Geometry) -> np.ndarray:
     return np.where(size > SEEN**2, along / np.maximum(size, SEEN**2), 1.0)
 
 
-def _move(log: ImuRows, pieces: Pieces, speed: np.ndarray, first: int, angle: float) -> None:
+def _move(log: ImuRows, pieces: PieceBuilder, speed: np.ndarray, first: int, angle: float) -> None:
     """Add what lies between the last reading and that of the row `first`: moves by the gyros, adjusted to the `angle`
     by the readings in proportion to the path, with the rests between them."""
     last = pieces.rows[-1]

@@ -123,17 +123,17 @@ class FrameColumn(Number):
         return self.values
 
 
-class RateColumn(FrameColumn):
+class FrameRates(FrameColumn):
     unit: RateUnit
     """Unit of the rates."""
 
 
-class AccelerationColumn(FrameColumn):
+class FrameAccelerations(FrameColumn):
     unit: AccelerationUnit
     """Unit of the accelerations."""
 
 
-class TemperatureColumn(FrameColumn):
+class FrameTemperatures(FrameColumn):
     unit: TemperatureUnit
     """Unit of the temperatures."""
 
@@ -164,13 +164,13 @@ class FramedSensor(DescribedSensor):
     """Number of the sample."""
     time: Stamp | None = None
     """Time of the sample."""
-    gyro: RateColumn | None = None
+    gyro: FrameRates | None = None
     """Rates."""
-    acceleration: AccelerationColumn | None = None
+    acceleration: FrameAccelerations | None = None
     """Accelerations."""
-    temperature: TemperatureColumn | None = None
+    temperature: FrameTemperatures | None = None
     """Temperatures of the gyros."""
-    second_temperature: TemperatureColumn | None = None
+    second_temperature: FrameTemperatures | None = None
     """A second thermometer, or the temperatures of the accelerometers."""
     status: Status | None = None
     """Status of the sample."""

@@ -22,7 +22,7 @@ from gradcal_jax.records.column_map import (
 from gradcal_jax.records.column_names import question_of
 from gradcal_jax.records.examination import Columns, at_rows_with_rates, examine
 from gradcal_jax.records.log import SENSOR_RATE, Floats, Log, LogError, naming
-from gradcal_jax.records.table_files import Table, read_table
+from gradcal_jax.records.table_files import FileTable, read_table
 
 _LOG = logging.getLogger(__name__)
 _MANY: Final = 200
@@ -57,7 +57,7 @@ def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple
         return log
 
 
-def _refuse_contradictions(table: Table, columns: ColumnMap) -> None:
+def _refuse_contradictions(table: FileTable, columns: ColumnMap) -> None:
     """Names that state another quantity or unit than the map, and rates in whole numbers alone."""
     for source in columns.named().values():
         if not isinstance(source, Measured):
@@ -73,7 +73,7 @@ def _refuse_contradictions(table: Table, columns: ColumnMap) -> None:
             raise LogError(f'{question} (correct the map, or set [policy] values = "keep")')
 
 
-def _numbers(table: Table, source: Source) -> Any:
+def _numbers(table: FileTable, source: Source) -> Any:
     """One column, unconverted (integers stay integers)."""
     values = table.array(source)
     if values.dtype.kind not in "biuf":
@@ -81,7 +81,7 @@ def _numbers(table: Table, source: Source) -> Any:
     return values
 
 
-def _in_si(table: Table, source: Source) -> Floats:
+def _in_si(table: FileTable, source: Source) -> Floats:
     """One column in SI; angles per row stay angles, and times count from the first row."""
     values = _numbers(table, source)
     with np.errstate(all="ignore"):  # absurd numbers are found and named afterwards
@@ -103,7 +103,7 @@ def _in_si(table: Table, source: Source) -> Floats:
     return values if source.where is None else np.where(table.rows_where(source.where), values, np.nan)
 
 
-def columns_in_si(table: Table, columns: ColumnMap, name: str) -> Columns:
+def columns_in_si(table: FileTable, columns: ColumnMap, name: str) -> Columns:
     """The columns of a table in SI, by its map; `name`: of its source. Raises `LogError` where they do not fit."""
     values = {name: _in_si(table, source) for name, source in columns.named().items()}
     counts = {name: len(array) for name, array in values.items()}

@@ -9,7 +9,7 @@ from gradcal_jax.records.column_map import FORMAT, ColumnMap
 from gradcal_jax.records.examination import examine
 from gradcal_jax.records.importers import columns_in_si
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.table_files import Table
+from gradcal_jax.records.table_files import FileTable
 from gradcal_jax.tables.problems import instead
 
 _SI: Final = {
@@ -83,7 +83,7 @@ def log_from(
         columns["table_angle" if kind == "angle" else kind] = {
             axis: column(kind, f"{kind} {axis}", value) for axis, value in axes.items()
         }
-    return examine(columns_in_si(Table(arrays), ColumnMap.model_validate(columns), "arrays"))
+    return examine(columns_in_si(FileTable(arrays), ColumnMap.model_validate(columns), "arrays"))
 
 
 def _by_axis(kind: str, value: Any, labels: Sequence[str]) -> dict[str, Any]:

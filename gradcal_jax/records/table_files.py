@@ -1,4 +1,4 @@
-"""Files of numbers -> `Table`: CSV and other text, NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet.
+"""Files of numbers -> `FileTable`: CSV and other text, NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet.
 
 Text is read line by line, cell by cell: every row is counted, whatever is torn in it.
 """
@@ -47,7 +47,7 @@ _DATE: Final = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d
 
 
 @dataclass
-class Table:
+class FileTable:
     """The arrays `(rows,)` or `(rows, columns)` of a file by name or number, and what the file calls them: the name,
     and the name with the unit that stands in a row of its own below the names."""
 
@@ -87,7 +87,7 @@ def rows_where(where: Where, values: Array) -> Bools:
     return meant[places]
 
 
-def read_table(path: Path, columns: ColumnMap) -> Table:
+def read_table(path: Path, columns: ColumnMap) -> FileTable:
     """The columns of a map; of a text with `where` its rows alone. The ending tells the kind: .csv, .txt, .tsv, .dat,
     .log, .asc (text), .npz, .npy, .mat (MATLAB up to version 7), .parquet.
 
@@ -113,7 +113,7 @@ def read_table(path: Path, columns: ColumnMap) -> Table:
             if kind in _TEXT:
                 return _TextReader(path, columns.csv, sources, chosen, columns.where).table
             wanted = {one.column for one in (*sources, *chosen, *([columns.where] if columns.where else []))}
-            return Table(_READERS[kind](path, wanted))
+            return FileTable(_READERS[kind](path, wanted))
         except OSError as error:
             raise LogError(f"cannot be read: {error.strerror or error}") from None
 
@@ -181,7 +181,7 @@ class _TextReader:
             _refuse_several(first, header, set(cells))
         arrays: dict[int, Array] = {place: column.numbers() for place, column in cells.items() if place not in words}
         arrays |= {place: np.array(held, str) for place, held in words.items()}
-        self.table = Table({one: arrays[place] for one, place in places.items()}, _called(places, header, first[0]))
+        self.table = FileTable({one: arrays[place] for one, place in places.items()}, _called(places, header, first[0]))
 
     def _rows(self, lines: Iterable[str]) -> Iterator[list[str]]:
         """The fields of the rows, without other lines, remarks and checksums, with decimal points."""

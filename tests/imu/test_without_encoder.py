@@ -51,16 +51,6 @@ def test_what_needs_an_encoder_is_refused(change, said):
 # --- prediction -------------------------------------------------------------------------------------------------------
 
 
-def test_a_vertical_axis_is_said_with_its_remedy():
-    upright = gj.changed(PRESET, {"rig.table.axis[0].direction": [0.0, 0.0, 1.0]})
-    assert any("turn it also while it is tilted" in s for s in gj.predict(upright).warnings)
-    tilted = gj.changed(PRESET, {"rig.table.axis[0].direction": [0.0, 0.57735, 1.0]})
-    prediction = gj.predict(tilted)
-    assert not any("while it is tilted" in s for s in prediction.warnings)
-    figure = prediction.requirements[0].mean_of_max
-    assert gj.predict(upright).requirements[0].mean_of_max > 50.0 * figure
-
-
 def test_wide_noise_of_the_angles_is_as_free_parameters():
     """One reading for each standstill is absorbed, and the covariance is that of angles without a prior."""
     built = build_imu(PRESET)

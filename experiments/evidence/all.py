@@ -115,6 +115,8 @@ def make(report: Report) -> bool:
     if report.name == "proofs":
         words += ["--report", str(report.path)]
     commit, digest, started = _commit(), digest_of_rooms(report.rooms), time.monotonic()
+    # Rows of an older program do not stay.
+    report.path.unlink(missing_ok=True)
     passed = subprocess.run(words, cwd=ROOT, check=False).returncode == 0
     if not passed or not report.path.exists():
         return False

@@ -81,7 +81,7 @@ def chances(recipe: Path, folder: Path, seed: int) -> dict[str, float]:
 @pytest.mark.evidence
 @pytest.mark.parametrize("rig", RIGS)
 def test_tests_of_the_fit_fire_as_often_as_they_say(rig: str, tmp_path: Path) -> None:
-    """Of twenty runs of a rig more than two is beyond chance; over all rigs no test in more than three per cent, or once."""
+    """Of twenty runs of a rig more than two is beyond chance; over all rigs no test in more than 3 %, or once."""
     recipe = recipe_of_rig(rig, tmp_path)
     fired: dict[str, list[bool]] = defaultdict(list)
     for seed in range(FIRST, FIRST + SEEDS):

@@ -72,7 +72,8 @@ def read_toml(text: str, source: str = "") -> dict[str, Any]:
 def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None:
     """The problem of the `format` key, if there is one."""
     if "format" not in document:
-        return Problem(("format",), f'this key is missing; expected "{expected}"', kind="missing")
+        message = f'this key is missing; expected "{expected}"{hint("format", document)}'
+        return Problem(("format",), message, kind="missing")
     version = document["format"]
     if version == expected:
         return None

@@ -4,7 +4,7 @@ import copy
 import tomllib
 
 import tomlkit
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.cli import main
@@ -66,6 +66,7 @@ def slip_into(document, key, kind, detail):
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(sorted(GOOD)), st.integers(0, 10_000), slips)
+@example("ferraris", 0, ("misspell", "_"))
 def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, name, place, slip):
     document = copy.deepcopy(GOOD[name])
     certain = slip_into(document, KEYS[name][place % len(KEYS[name])], *slip)

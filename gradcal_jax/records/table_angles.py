@@ -96,7 +96,8 @@ def course_of(events: Sequence[Event], axis: str) -> AxisCourse:
             stood, begin_s = False, float(data["begins_s"])
             now = Held(begin_s, readings=[] if last is None else [last._replace(time_s=begin_s)])
             course.held.append(now)
-    course.held = [one for one in course.held if one.end_s > one.begin_s]
+    # (A turn can follow at the instant of the reading that ends the one before.)
+    course.held = [one for one in course.held if one.end_s >= one.begin_s]
     return course
 
 

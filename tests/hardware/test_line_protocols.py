@@ -71,7 +71,7 @@ ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
 }
 TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
     "espec": {"setpoint": ({"setpoint": 25.0}, [b"TEMP, S25.0\r\n"])},
-    "thermotron-3800": {"setpoint": ({"setpoint": 22.5}, [b"SETP1,22.5\r", b"RUNM\r"]), "off": ({}, [b"STOP\r"])},
+    "thermotron-3800": {"setpoint": ({"setpoint": 22.5}, [b"SETP1,22.5\r"]), "off": ({}, [b"STOP\r"])},
     "cts": {
         "setpoint": ({"setpoint": -12.3}, [bytes.fromhex("02 81 e1 b0 a0 ad b1 b2 ae b3 c3 03")]),
         "on": ({}, [bytes.fromhex("02 81 f3 b1 a0 b1 d2 03")]),
@@ -80,7 +80,7 @@ TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
     "watlow-f4t-scpi": {
         "setpoint": (
             {"setpoint": -40.0},
-            [b":OUTPUT1:STATE ON\n", b":SOURCE:CLOOP1:RACTION OFF\n", b":SOURCE:CLOOP1:SPOINT -40.00\n"],
+            [b":SOURCE:CLOOP1:RACTION OFF\n", b":SOURCE:CLOOP1:SPOINT -40.00\n"],
         ),
     },
     "grbl": {"home": ({}, [b"$H\n"]), "stop": ({}, [b"\x85"])},
@@ -297,3 +297,11 @@ def test_a_line_is_as_the_description_has_it() -> None:
         with open_rig(rig_of({"format": "gradcal-rig/1", "chamber": chamber}), clock) as bench:
             line = bench.lines["chamber"]._port
             assert (line.bytesize, line.stopbits, line.parity, line.baudrate) == (7, 1, "E", 19200)
+
+
+@pytest.mark.parametrize("name", shipped(LINES))
+def test_a_set_point_starts_no_chamber(name: str) -> None:
+    """Somebody who switched a chamber off at its panel finds it off."""
+    tell = tomllib.loads(protocol_text(name)).get("tell", {})
+    lines = {what: one["send"] if isinstance(one["send"], list) else [one["send"]] for what, one in tell.items()}
+    assert not set(lines.get("on", [])) & set(lines.get("setpoint", []))

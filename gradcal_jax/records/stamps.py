@@ -24,8 +24,9 @@ ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
 # Rows that count as many; share of rows that may be removed for their stamps before they are looked at as a whole.
 _MANY, _SHARE = 20, 0.1
-# Rows on end that are not single outliers; share of the span within which late packets are sorted.
-_RESTART, _SHUFFLED = 10, 0.01
+# Rows on end that are not single outliers; share of the span within which late packets are sorted; share of a gap by
+# which stamps in it may differ from the clock at its edge.
+_RESTART, _SHUFFLED, _FITS = 10, 0.01, 0.1
 # Median intervals that are a gap, unless stamps within so many rows make up for it.
 _GAP, _JITTER_ROWS = 1.6, 5
 # An interval is short below this share of the median; if more than the second share are, stamps come in bursts.
@@ -89,6 +90,11 @@ def rows_in_order(time: Floats, found: Findings, rows_before: int = 0) -> Whole:
     order = np.flatnonzero(readable)
     stamps = time[order]
     kept = _increasing(stamps)
+    others = np.arange(len(stamps))
+    while len(wrong := _off_clock(stamps, kept)):
+        others = np.setdiff1d(others, wrong)
+        kept[:] = False
+        kept[others] = _increasing(stamps[others])
     before = np.maximum.accumulate(np.where(kept, stamps, -np.inf))
     span = float(np.ptp(stamps)) if len(stamps) else 0.0
     alike = np.count_nonzero(~kept & (stamps == before))
@@ -150,6 +156,30 @@ def _increasing(time: Floats) -> Bools:
         kept[row] = True
         row = before[row]
     return kept
+
+
+def _off_clock(time: Floats, kept: Bools) -> Whole:
+    """The kept rows of stamps `(n,)` that are off the clock of the others: at an end of a record, damaged stamps may be
+    more than the sound ones beyond them. They leave a gap, in which stamps of removed rows are where the clock of more
+    rows at its edge has them, across the damaged rows."""
+    rows, removed = np.flatnonzero(kept), np.flatnonzero(~kept)
+    stamps = time[rows]
+    after = np.searchsorted(stamps, time[removed])
+    inside = (after > 0) & (after < len(rows))
+    removed, after = removed[inside], after[inside]
+    if not len(removed):
+        return removed
+    usual = float(np.median(np.diff(stamps)))
+    gap = stamps[after] - stamps[after - 1]
+    place = np.searchsorted(rows, removed)
+    off = np.zeros(len(time), bool)
+    for edge, side, own in ((after - 1, 1, after), (after, -1, len(rows) - after)):
+        across = side * (place - after)
+        error = time[removed] - stamps[edge] - (removed - rows[edge]) * usual
+        fits = (across > 0) & (across < own) & (gap > _RESTART * usual) & (np.abs(error) < _FITS * gap)
+        for row, at in zip(removed[fits].tolist(), rows[edge[fits]].tolist(), strict=True):
+            off[min(row, at) + 1 : max(row, at)] = True
+    return np.flatnonzero(off & kept)
 
 
 def _refuse_intervals(time: Floats) -> None:

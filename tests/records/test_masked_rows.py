@@ -69,16 +69,25 @@ def imported(folder: Path, time: np.ndarray, values: np.ndarray, text: str, name
 GX = 'rate.x = { column = "gx", unit = "deg/s" }\n'
 
 
-@pytest.mark.parametrize("ahead_s", [4294.967296, 30.0])
-def test_stamps_ahead_cost_their_own_rows(tmp_path, ahead_s):
-    time = np.arange(ROWS) / 100.0
-    damaged = time.copy()
-    for first in (500, 2000, 2100, 5000):
+@pytest.mark.parametrize(
+    ("ahead_s", "kind", "firsts"),
+    [
+        (4294.967296, "damaged", (500, 2000, 2100, 5000)),
+        (30.0, "damaged", (500, 2000, 2100, 5000)),
+        # Here the damaged rows are more than the sound ones beyond them.
+        (-30.0, "unordered", (3, 2000)),
+        (30.0, "damaged", (2000, ROWS - 22)),
+    ],
+)
+def test_damaged_stamps_cost_their_own_rows(tmp_path, ahead_s, kind, firsts):
+    damaged = np.arange(ROWS) / 100.0
+    for first in firsts:
         damaged[first : first + 20] += ahead_s
     log = imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
-    assert log.rows_removed == {"damaged stamp": 80}
-    (finding,) = (one for one in log.findings if one.kind == "damaged stamp")
-    assert "first row 500" in finding.message
+    assert log.rows_removed == {f"{kind} stamp": 20 * len(firsts)}
+    (finding,) = (one for one in log.findings if one.kind == f"{kind} stamp")
+    assert f"first row {firsts[0]}" in finding.message
+    assert log.duration_s == pytest.approx((ROWS - 1) / 100.0)
     assert 1.0 / log.sample_interval_s == pytest.approx(100.0)
 
 
@@ -193,7 +202,8 @@ def test_losses_of_any_pattern_are_right_or_asked(pattern, seed, hz, share, burs
 def test_damaged_stamps_are_masked_or_asked_about(kind, seed, runs, lasting, by_s):
     rng, values = np.random.default_rng(seed), rates(2 * ROWS, 100.0, seed)
     stamps = np.arange(len(values)) / 100.0
-    for first in rng.choice(len(values) - lasting, runs, replace=False).tolist():
+    # (Damage from the first row on is a gap after sound rows.)
+    for first in rng.choice(np.arange(1, len(values) - lasting), runs, replace=False).tolist():
         rows = slice(first, first + lasting)
         stamps[rows] = {
             "ahead": stamps[rows] + by_s,

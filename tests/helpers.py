@@ -6,7 +6,9 @@ by itself: rates from the shapes' textbook formulas, temperatures from the lag's
 covariance of all readings by composite Gauss–Legendre integration of the processes' *kernels* (no recursion, no state).
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -46,10 +48,7 @@ class Act:
     peak: float = 0.0
     ramp: float = 0.0
     unevenness: float = 0.0
-    axis: str = "x"
     every: float | None = None
-    read_at_end: bool = True
-    others_every: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,6 @@ class Scene:
     used: tuple[tuple[int, int], ...] | None = None
     read_every: float | None = None
     lag: float | None = None
-    channel: str = "x"
     arw: float = 0.1 * DEG / 60.0
     noises: tuple[Noise, ...] = ()
     reading_noise: float = 0.05 * DEG
@@ -89,7 +87,6 @@ class Scene:
     longest_piece: float = np.inf
 
 
-CUBIC = Polynomial(3, 20.0, 50.0)
 LINEAR = Polynomial(1, 20.0, 50.0)
 RATE_CUBIC = Polynomial(3, 0.0, 300.0 * DEG)
 RATE_LINEAR = Polynomial(1, 0.0, 300.0 * DEG)
@@ -160,37 +157,22 @@ def encoder(reading: float = 0.0, offset: float = 0.0, timing: float = 0.0, rate
     return EncoderNoise(*of, False, np.array([timing]), np.asarray(rate), bool(offset))
 
 
-def plan_of(scene: Scene) -> Schedule:
-    """The engine's plan of a scene as its channel sees it."""
-    make = lambda acts: tuple(core_move(a, scene.channel, scene.longest_piece) for a in acts)  # noqa: E731
-    course = trajectory.programme(scene.start, list(scene.stretches))
-    return trajectory.gradient_plan(
-        course, make(scene.moves), make(scene.after), used=scene.used, read_every=scene.read_every
-    )
-
-
 def core(scene: Scene) -> Engine:
     """The engine's plan and model of a scene."""
+    moves, after = (tuple(core_move(a, scene.longest_piece) for a in acts) for acts in (scene.moves, scene.after))
+    course = trajectory.programme(scene.start, list(scene.stretches))
+    plan = trajectory.gradient_plan(course, moves, after, used=scene.used, read_every=scene.read_every)
     orders = tuple(scene.harmonics)
     waves = (AxisHarmonics(np.repeat(list(scene.harmonics.values()), 2), orders, 0, "x"),) if orders else ()
     noise = encoder(scene.reading_noise, scene.offset, scene.timing)
-    return one_axis(plan_of(scene), core_model(scene), noise, scene.lag, waves)
+    return one_axis(plan, core_model(scene), noise, scene.lag, waves)
 
 
-def core_move(act: Act, channel: str, longest: float = np.inf) -> trajectory.Move:
-    """A move as a channel sees it: one of another axis is a rest."""
-    if act.shape == "rest" or act.axis != channel:
-        return trajectory.rest(act.duration, act.every if act.shape == "rest" else act.others_every)
-    return trajectory.turn(
-        act.shape,
-        act.peak,
-        act.duration,
-        ramp=act.ramp,
-        unevenness=act.unevenness,
-        read_at_end=act.read_at_end,
-        read_every=act.every,
-        longest_piece=longest,
-    )
+def core_move(act: Act, longest: float) -> trajectory.Move:
+    if act.shape == "rest":
+        return trajectory.rest(act.duration, act.every)
+    how = {"ramp": act.ramp, "unevenness": act.unevenness, "read_every": act.every, "longest_piece": longest}
+    return trajectory.turn(act.shape, act.peak, act.duration, **how)
 
 
 def core_model(scene: Scene) -> Channel:
@@ -239,32 +221,23 @@ def _smooth_breaks(act: Act) -> np.ndarray:
 class Reading(NamedTuple):
     time: float
     standstill: int  # −1 on the move
-    rate: float
-    origin: int
+    rate: float = 0.0
+    origin: int = 0
 
 
-class Origin(NamedTuple):
-    time: float
-    standstill: int
-
-
-@dataclass
-class Walk:
-    """What happens, in order: `acts` as (start, act); `readings`, each with the origin that it counts from."""
+class Walk(NamedTuple):
+    """What happens, in order: `acts` as (start, act); `readings`, each with the number of the origin, a reading, too,
+    that it counts from."""
 
     begin: float
     end: float
     acts: list[tuple[float, Act]]
     readings: list[Reading]
-    origins: list[Origin]
-
-
-def _every(duration: float, every: float | None) -> list[float]:
-    return [] if every is None else [every * k for k in range(1, int(duration / every + 1e-9) + 1)]
+    origins: list[Reading]
 
 
 def walk(scene: Scene) -> Walk:
-    """The scene's acts and readings, as the channel sees them."""
+    """The scene's acts and readings."""
     knots = np.cumsum([0.0, *(d for d, _ in scene.stretches)])
     used = scene.used or ((0, len(knots) - 1),)
     own = sum(a.duration for a in scene.moves)
@@ -275,7 +248,7 @@ def walk(scene: Scene) -> Walk:
         if number:
             found.acts.append((clock, Act("rest", float(knots[first]) - clock)))
             clock = float(knots[first])
-        found.origins.append(Origin(clock, standstill))
+        found.origins.append(Reading(clock, standstill))
         available = float(knots[last] - knots[first])
         cycles = int((available - own) / period + 1e-9) + 1 if scene.moves else 0
         line = [a for k in range(cycles) for a in (*scene.moves, *(scene.after if k < cycles - 1 else ()))]
@@ -283,20 +256,17 @@ def walk(scene: Scene) -> Walk:
         if left > 1e-6:
             line.append(Act("rest", left, every=scene.read_every))
         for act in line:
-            seen = act
-            if act.shape != "rest" and act.axis != scene.channel:
-                seen = Act("rest", act.duration, every=act.others_every)
-            turning = seen.shape != "rest"
-            times = _every(seen.duration, seen.every)
-            if turning and not times and seen.read_at_end:
-                times = [seen.duration]
+            turning = act.shape != "rest"
+            times = [act.duration] if turning else []
+            if act.every is not None:
+                times = [act.every * k for k in range(1, int(act.duration / act.every + 1e-9) + 1)]
             standstill += turning
             for t in times:
-                on_the_way = turning and t < seen.duration * (1 - 1e-9)
-                rate = float(textbook_rate(seen, np.array(t))) if on_the_way else 0.0
+                on_the_way = turning and t < act.duration * (1 - 1e-9)
+                rate = float(textbook_rate(act, np.array(t))) if on_the_way else 0.0
                 found.readings.append(Reading(clock + t, -1 if on_the_way else standstill, rate, number))
-            found.acts.append((clock, seen))
-            clock += seen.duration
+            found.acts.append((clock, act))
+            clock += act.duration
     return found
 
 
@@ -364,27 +334,21 @@ def panels(scene: Scene, found: Walk) -> np.ndarray:
     longest = min([30.0, *(n.tau for n in scene.noises)])
     fine = [np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[:-1] for a, b in pairwise(edges)]
     edges = np.r_[np.concatenate(fine), edges[-1]]
-    crossings = []
-    variables = [(lambda t: sensor_temperature(scene, t), b.breaks) for b in (scene.bias,) if b is not None]
-    if scene.scale is not None:
-        variables.append((lambda t: sensor_temperature(scene, t), scene.scale[0].breaks))
-        variables.append((lambda t: rate_at(found, t), scene.scale[1].breaks))
-    for of, breaks in variables:
-        for level in breaks:
-            for a, b in pairwise(edges):
-                grid = np.linspace(a, b, 17) if b - a > 1e-9 else np.array([a, b])
-                grid[-1] -= 1e-12 * max(1.0, abs(b))
+    warm = [b for basis in (scene.bias, scene.scale and scene.scale[0]) if basis is not None for b in basis.breaks]
+    fast = scene.scale[1].breaks if scene.scale else ()
+    crossings: list[float] = []
+    for of, breaks in ((partial(sensor_temperature, scene), warm), (partial(rate_at, found), fast)):
+        for a, b in pairwise(edges if len(breaks) else ()):
+            grid = np.linspace(a, b - 1e-12 * max(1.0, abs(b)), 17)
+            for level in breaks:
                 above = of(grid) - level
                 for i in np.flatnonzero(above[:-1] * above[1:] < 0.0):
-                    place = brentq(
-                        lambda t, of=of, level=level: float(of(np.array([t]))[0]) - level,
-                        grid[i],
-                        grid[i + 1],
-                        xtol=1e-13,
-                        rtol=1e-15,
-                    )
-                    crossings.append(place)
+                    crossings.append(brentq(_apart, grid[i], grid[i + 1], (of, level), xtol=1e-13, rtol=1e-15))
     return np.unique(np.r_[edges, crossings])
+
+
+def _apart(t: float, of: Callable[[np.ndarray], np.ndarray], level: float) -> float:
+    return float(of(np.array([t]))[0]) - level
 
 
 def reference(scene: Scene) -> Reference:
@@ -440,14 +404,13 @@ def reference(scene: Scene) -> Reference:
 
 def _kernel_blocks(noise: Noise, found: Walk, a, width, times, weight, rate) -> np.ndarray:
     """`∫∫ c(s)c(s') K(s, s') ds ds'` over all pairs of panels, K the process's own covariance function."""
-    gains = (1.0, 0.0) if noise.kind == "walk" else (noise.bias_gain, noise.rate_gain)
-    c = gains[0] + gains[1] * rate
+    c = noise.bias_gain + noise.rate_gain * rate
     whole = np.sum(weight * c, axis=1)
     if noise.kind == "constant":
         return np.multiply.outer(whole, whole).astype(Extended) * noise.size**2
     inner = a[:, None, None] + (times - a[:, None])[:, :, None] * _X
     inner_weight = (times - a[:, None])[:, :, None] * _W
-    inner_c = gains[0] + gains[1] * (rate_at(found, inner) if gains[1] else np.zeros_like(inner))
+    inner_c = noise.bias_gain + noise.rate_gain * rate_at(found, inner)
     lower = np.tril(np.ones((len(a), len(a))), -1)
     if noise.kind == "walk":
         since = times - found.begin
@@ -455,14 +418,12 @@ def _kernel_blocks(noise: Noise, found: Walk, a, width, times, weight, rate) -> 
         blocks = np.multiply.outer(whole, early) * lower
         diagonal = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, inner_weight * inner_c * (inner - found.begin))
     else:
-        rate_of_decay = 1.0 / noise.tau
-        onward = np.sum(weight * c * np.exp(-rate_of_decay * (a[:, None] + width[:, None] - times)), axis=1)
-        from_start = np.sum(weight * c * np.exp(-rate_of_decay * (times - a[:, None])), axis=1)
+        onward = np.sum(weight * c * np.exp(-((a + width)[:, None] - times) / noise.tau), axis=1)
+        from_start = np.sum(weight * c * np.exp(-(times - a[:, None]) / noise.tau), axis=1)
         apart = np.maximum(a[:, None] - (a + width)[None, :], 0.0)
-        blocks = from_start[:, None] * np.exp(-rate_of_decay * apart) * onward[None, :] * lower
-        diagonal = 2.0 * np.einsum(
-            "pq,pq,pqr->p", weight, c, inner_weight * inner_c * np.exp(-rate_of_decay * (times[:, :, None] - inner))
-        )
+        blocks = from_start[:, None] * np.exp(-apart / noise.tau) * onward[None, :] * lower
+        fading = inner_weight * inner_c * np.exp(-(times[:, :, None] - inner) / noise.tau)
+        diagonal = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, fading)
     return (blocks + blocks.T + np.diag(diagonal)).astype(Extended) * noise.size**2
 
 
@@ -635,39 +596,4 @@ SCENES: dict[str, Scene] = {
         bias_prior=500 * DEG_PER_H,
         scale_prior=1e-2,
     ),
-    # What moves on y is rest for x, read meanwhile or not.
-    "other axis": Scene(
-        10.0,
-        ((260.0, 0.2),),
-        (
-            *_TURNS[:2],
-            Act("cosine ramps", 8.0, 100 * DEG, ramp=1.0, axis="y", others_every=2.0),
-            Act("cosine ramps", 5.0, -80 * DEG, ramp=1.0, axis="y"),
-            *_TURNS[2:4],
-        ),
-        (Act("rest", 9.0, every=3.0),),
-        read_every=3.0,
-        noises=(DRIFT, Noise("scale", 30e-6, 300.0, 0.0, 1.0)),
-        offset=0.005 * DEG,
-        scale=(LINEAR, RATE_LINEAR),
-        bias=LINEAR,
-    ),
 }
-
-
-def varied(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The same structure with other numbers: noises, rates and slopes, all by up to a factor of two."""
-    some = lambda: float(np.exp(rng.uniform(-0.7, 0.7)))  # noqa: E731
-    rate = lambda a: a if a.shape == "rest" else replace(a, peak=a.peak * float(rng.uniform(0.5, 1.0)))  # noqa: E731
-    return replace(
-        scene,
-        start=scene.start + float(rng.uniform(-3, 3)),
-        stretches=tuple((d, s * float(rng.uniform(0.8, 1.1))) for d, s in scene.stretches),
-        moves=tuple(rate(a) for a in scene.moves),
-        arw=scene.arw * some(),
-        noises=tuple(replace(n, size=n.size * some(), tau=n.tau * some()) for n in scene.noises),
-        reading_noise=scene.reading_noise * some(),
-        offset=scene.offset * some(),
-        timing=scene.timing * some(),
-        harmonics={k: v * some() for k, v in scene.harmonics.items()},
-    )

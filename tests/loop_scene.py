@@ -14,12 +14,6 @@ from gradcal_jax.spec.spec_sections import Spec
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)
-# Half-widths of plays for relays: those of half-widths of 4 to 29 K, over the temperatures of the plan.
-WIDTHS_OF_RELAYS = (6.0, 14.0, 24.0)
-HOUR = np.pi / 180.0 / 3600.0
-# The legs of the service, which are so long that a mass of 10 min is in its steady state (100 min at 2 K/min).
-COLDEST, WARMEST = -200.0, 245.0
-AT = np.linspace(0.0, 45.0, 10)
 
 
 class Course(ChamberPlant):
@@ -36,8 +30,7 @@ class Course(ChamberPlant):
 
 @lru_cache
 def spec_of(*, ways: int, size: float = SIZE, plays: bool = True) -> Spec:
-    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `ways`: of the chamber in the same time. `late`: the
-    terms are those of two thermal masses in the place of plays."""
+    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `ways`: of the chamber in the same time."""
     slope = ways * (WARM - COLD) / LASTING_S * 60.0
     programme = [{"soak": "10 s", "at": f"{COLD} degC"}]
     programme += [{"ramp_to": f"{(WARM, COLD)[way % 2]} degC", "rate": f"{slope} K/min"} for way in range(ways)]

@@ -15,7 +15,6 @@ from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.optimise import FrontierPoint, belief_of, run_search, shortest
 from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.searching import Optimised
-from gradcal_jax.design.visits import visit_choices
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.spec import spec as spec_file
 from gradcal_jax.spec.changes import changed
@@ -217,20 +216,6 @@ def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, bes
 def test_until_met_needs_targets(spec):
     with pytest.raises(ValueError, match=r"target"):
         gj.optimise(spec, until_met=True)
-
-
-def test_many_short_visits_have_the_same_moves_in_each(spec):
-    """With moves of their own, 160 visits ended at 282 ppm where the plan as it was left 266."""
-    moves = [
-        {"rest": "5 s", "read_every": "5 s"},
-        {"turn": "360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"},
-    ]
-    back = [moves[0], moves[1] | {"turn": "-360 deg"}]
-    many = changed(spec, {"plan.cycle": {"moves": [*moves, *back]}, "design.moves": None})
-    (choice,) = visit_choices(many, many.design)
-    assert (choice.visits, choice.cycles) == (1, many.gradient_schedule.stretches[0].cycles)
-    (own,) = visit_choices(spec, spec.design)
-    assert (own.visits, own.cycles, own.turns) == (4, 1, 2)
 
 
 @pytest.mark.parametrize(

@@ -41,17 +41,16 @@ def many_visits(spec: Spec) -> Spec:
     return changed(spec, keys)
 
 
-def limited(spec: Spec, travel: float) -> Spec:
+def limited(spec: Spec) -> Spec:
     turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
     moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
-    return changed(spec, {"rig.table.axis[0].travel": f"{travel:.6g} deg", "plan.cycle.moves": moves})
+    return changed(spec, {"rig.table.axis[0].travel": "90 deg", "plan.cycle.moves": moves})
 
 
 KINDS = {
     "own moves in each visit": lambda spec: spec,
     "the same moves in many": many_visits,
-    "little travel": lambda spec: limited(spec, 90.0),
-    "much travel": lambda spec: limited(spec, 5000.0),
+    "little travel": limited,
 }
 
 
@@ -84,16 +83,6 @@ def test_any_vector_is_a_plan_within_the_limits(spec, kind):
     holds()
 
 
-def test_numbers_of_a_plan_are_found_again(spec):
-    for kind in ("own moves in each visit", "much travel"):
-        plan = plan_of(KINDS[kind](spec))
-        drawn = plan.drawn(np.random.default_rng(1))
-        again = plan.at(plan.point(drawn), plan.coordinates.structure(drawn.turns))
-        for one, other in zip(drawn.turns, again.turns, strict=True):
-            assert one.axis == other.axis
-            np.testing.assert_allclose(one[1:], other[1:], rtol=2e-2, atol=1e-2)
-
-
 def too_long(plan: CyclePlan, of: Proposal) -> bool:
     """Whether turns by pose take longer than there is time with the shortest rests."""
     visits = plan.coordinates.visits
@@ -109,16 +98,11 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
     plan, written = plan_of(given), 0
     for seed in range(6):
         drawn = plan.drawn(np.random.default_rng(seed))
-        if kind == "much travel":
-            # (Random poses so far apart take too long.)
-            turns = tuple(t._replace(rate=math.radians(200.0) if t.angle else 0.0) for t in plan.start.turns)
-            start = plan.start._replace(turns=turns)
-            near = 0.02 * np.random.default_rng(seed).standard_normal(3 * plan.coordinates.slots)
-            drawn = plan.at(plan.point(start) + near, plan.coordinates.structure(turns))
         if too_long(plan, drawn):
             continue
         made, written = plan.spec_of(drawn), written + 1
         assert rounded(made).changes == ()
+        assert (plan.cycles > 1) == (kind == "the same moves in many")
         assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.cycles
         assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)
         made_moves = [step.move for step in made.gradient_schedule.steps]
@@ -131,17 +115,21 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
     assert written
 
 
-DISCREPANCY = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
-UNSTABLE = [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}]
 CHANGES = {
     "plain": {},
-    "hidden structure": {"sensor.gyro.scale_factor.discrepancy": DISCREPANCY},
-    "instability, lag": {"sensor.gyro.scale_factor_instability": UNSTABLE, "sensor.thermal_lag": "2 min"},
-    "offsets of standstills": {"rig.table.axis[0].angle.standstill_offset": "0.02 deg"},
-}
+    "hidden structure, instability, lag, offsets": {
+        "sensor.gyro.scale_factor.discrepancy": {
+            "standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3,
+        },
+        "sensor.gyro.scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}],
+        "sensor.thermal_lag": "2 min",
+        "rig.table.axis[0].angle.standstill_offset": "0.02 deg",
+    },
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*(pytest.param(n, marks=pytest.mark.long) for n in CHANGES if n != "plain"), "plain"])
+@pytest.mark.long
+@pytest.mark.parametrize("name", CHANGES)
 def test_the_objective_of_a_search_is_that_of_its_plan(spec, name):
     """But for rounding, and for the few readings that stand for those of other axes' time; with its gradient."""
     plan = plan_of(changed(spec, CHANGES[name] | {"rig.table.axis[0].angle.read_every": "1 s"}))

@@ -25,7 +25,7 @@ HOUR = np.pi / 180.0 / 3600.0
 @lru_cache
 def estimated(*, ways: int = 2, plays: bool = True) -> tuple[SensorEstimate, ImuTruth]:
     """A unit with relays of tens of deg/h in the place of a play."""
-    truth = draw_with_loops(spec_of(ways=ways, size=40.0), 36, 4, "relays")
+    truth = draw_with_loops(spec_of(ways=ways, size=40.0), 36, 4)
     spec = spec_of(ways=ways, size=40.0, plays=plays)
     (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=ways, seed=7)])
     return report, truth
@@ -58,7 +58,7 @@ def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_pa
 def without_a_loop() -> tuple[Log, np.ndarray, np.ndarray]:
     """The log of a unit without a loop, its temperatures, and how far a play of 10 K is behind them, stepped sample by
     sample."""
-    truth = draw_with_loops(spec_of(ways=2, size=1e-6), 36, 9, "relays")
+    truth = draw_with_loops(spec_of(ways=2, size=1e-6), 36, 9)
     log = recorded(truth, spec_of(ways=2), ways=2, seed=11)
     assert log.temperature_c is not None
     temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0

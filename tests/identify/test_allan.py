@@ -72,22 +72,14 @@ def test_degrees_of_freedom_are_greenhalls_in_each_pure_noise(term, alpha):
         assert fit.degrees_of_freedom[0] == pytest.approx(2 * 9_999 / 3, rel=1e-3)
 
 
-def test_coefficients_and_confidence_hold_what_they_say():
-    """Sixty records: errors as large as stated, intervals that hold the truth as often as stated."""
+def test_intervals_of_the_curve_hold_the_truth_as_often_as_stated():
     truth = {"quantisation": 0.03, "angle_random_walk": 0.5, "rate_random_walk": 0.05}
-    pulls = {term: [] for term in truth}
     inside = []
     for seed in range(60):
         allan = overlapping_allan(simulate(seed, 5000, 0.1, **truth), 0.1, averaging_times(5000, 0.1, per_decade=6))
         fit = fit_allan(allan, terms=tuple(truth))
-        for term, value in truth.items():
-            result = getattr(fit, term)
-            pulls[term].append((result.value**2 - value**2) / (2 * value * result.standard_error))
         true = np.sqrt(design_of_noise(allan.averaging_time_s) @ np.square([0.03, 0.5, 0.0, 0.05]))
         inside.append((fit.lower < true) & (true < fit.upper))
-    for term in ("angle_random_walk", "rate_random_walk"):
-        assert abs(np.mean(pulls[term])) < 0.5
-        assert 0.72 < np.std(pulls[term]) < 1.35
     assert 0.62 < np.mean(inside) < 0.75
 
 
@@ -113,7 +105,7 @@ def flicker(seed, samples, interval, instability):
     return np.fft.irfft(np.concatenate([[0.0], noise]))[:samples]
 
 
-@pytest.mark.parametrize("length", [2, 3, 4, 8, 16, 32])
+@pytest.mark.parametrize("length", [2, 8, 32])
 @pytest.mark.parametrize("instability", [0.0, 0.3])
 def test_a_low_pass_is_found_and_its_times_are_left_out(length, instability):
     """Moving means of 2 to 32 samples over white noise of 0.5 and, where there is any, 1/f noise."""
@@ -148,10 +140,6 @@ def test_behind_a_low_pass_errors_are_as_large_as_stated(length, samples, record
         instability.append(abs(fit.bias_instability.value - 0.3) < 0.06 or not fit.bias_instability.shows)
     pulls = np.array(errors) / np.array(stated)
     within = float(np.mean(np.abs(errors) < 0.05))
-    print(
-        f"{length}: N within 10 % in {within:.2f}, rms {np.std(errors) / 0.5:.3f}, in standard errors "
-        f"{pulls.std():.2f}, B within 20 % or not seen in {np.mean(instability):.2f}"
-    )
     assert within >= (0.75 if length > 8 and samples < 1 << 20 else 1.0)
     assert np.mean(instability) >= (0.9 if samples < 1 << 20 else 1.0)
     assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.4

@@ -56,16 +56,10 @@ def test_the_model_itself_comes_back():
     assert bound.messages == ()
 
 
-@pytest.mark.parametrize(
-    ("drift_std", "correlation_time_s"),
-    [
-        (3.0, 120.0),
-        *(pytest.param(*sizes, marks=pytest.mark.evidence) for sizes in ((1.0, 120.0), (3.0, 600.0))),
-    ],
-)
-def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, correlation_time_s):
+def test_the_process_found_bounds_fresh_records_of_the_same_kind():
     """Five records of 40 h, each bounding another: with k = 2.5 a Gaussian leaves 1.24 % of all starts beyond."""
-    bounds, shares, ratios = [], [], []
+    drift_std, correlation_time_s = 3.0, 120.0
+    shares, ratios = [], []
     for seed in range(5):
         rate = at_rest(seed, 40, drift_std * DEG_PER_H, correlation_time_s)
         bound = fit_direct_bound(observe(rate, 120.0), WALK)
@@ -76,7 +70,6 @@ def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, corr
         result = [np.abs(drifts(fresh, 1.0, float(t), 120.0)) for t in bound.integration_time_s]
         shares.append([np.mean(one > limit) for one, limit in zip(result, limits, strict=True)])
         ratios.append(np.max(observe(fresh, 120.0).largest_drift / bound.limit))
-        bounds.append(bound.drift_std / DEG_PER_H)
     # 40 h hold few independent windows of 20 minutes: the allowance is for their scatter.
     assert np.mean(shares) < 0.0124
     assert np.max(np.mean(shares, axis=0)) < 0.016

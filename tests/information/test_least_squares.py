@@ -58,7 +58,7 @@ def test_the_filter_is_dense_least_squares(name):
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), made.deviations(), rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("x", [1e-12, 9.9e-9, 1.01e-8, 1e-5, 1e-3, 0.1, 0.2999999, 0.3, 0.3000001, 1.0, 30.0, 500.0])
+@pytest.mark.parametrize("x", [1e-12, 9.9e-9, 1.01e-8, 1e-3, 0.2999999, 0.3, 0.3000001, 500.0])
 def test_the_series_meet_the_closed_forms(x):
     """Of the angle's variance by a process, as λD → 0; ten digits more than float64 have."""
     from decimal import Decimal, localcontext

@@ -73,17 +73,11 @@ BYTES = {
     "zeros": bytes(4096),
     "a byte order mark": b"\xef\xbb\xbf" + GOOD.encode(),
     "carriage returns": GOOD.replace("\n", "\r\n").encode(),
-    "old Macintosh": GOOD.replace("\n", "\r").encode(),
-    "half of it": GOOD.encode()[: len(GOOD) // 2],
     "a NUL": GOOD.replace("[sensor]", "[sen\0sor]").encode(),
     "deep brackets": b"a = " + b"[" * 5000,
     "deep tables": b"[" + b".".join([b"a"] * 3000) + b"]",
-    "a long key": b"x" * 100_000 + b" = 1",
     "many keys": b"\n".join(b"k%d = 1" % k for k in range(3000)),
-    "numbers": b"format = 5\nsensor = 3\nrig = []\nplan = false\n",
-    "huge numbers": GOOD.replace('"1 h"', '"1e308 h"').encode(),
     "a huge integer": GOOD.replace("degree = 3", "degree = " + "9" * 400).encode(),
-    "a date": GOOD.replace("degree = 3", "degree = 2020-01-01").encode(),
 }
 
 
@@ -185,10 +179,7 @@ SMALL_FILES = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 
     "arguments",
     [
         ["start", "tactical-mems", "-o", "x.toml"],
-        pytest.param(["optimise", "good.toml", "--steps", "0", "-o", "x.toml"], marks=pytest.mark.evidence),
         ["predict", "good.toml", "--plot", "x.png"],
-        pytest.param(["predict", "good.toml", "--plot", "x.svg"], marks=pytest.mark.evidence),
-        ["start", "column-map", "-o", "x.toml"],
     ],
     ids=" ".join,
 )
@@ -228,38 +219,29 @@ assert open("log.nc", "rb").read() == before
     ]
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")
-@pytest.mark.parametrize("arguments", [["check", "--files-only", "good.toml"], ["--help"]])
-def test_a_full_standard_output_is_no_success(arguments, folder):
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, *arguments],
-            cwd=folder,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert "Traceback" not in done.stderr
-    assert done.returncode == 2
-    assert "No space left" in done.stderr
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="pipes")
-@pytest.mark.parametrize("arguments", [["--help"], ["check", "--files-only", "good.toml"]])
-def test_a_reader_that_goes_away_is_no_success(arguments, folder):
+def closed_pipe() -> int:
     reading, writing = os.pipe()
     os.close(reading)
-    with os.fdopen(writing, "w") as closed:
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, *arguments],
-            cwd=folder,
-            stdout=closed,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert (done.returncode, done.stderr) == (141, "")
+    return writing
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")
+@pytest.mark.parametrize("arguments", [["--help"], ["check", "--files-only", "good.toml"]])
+@pytest.mark.parametrize(
+    ("opened", "status", "said"),
+    [
+        (lambda: os.open("/dev/full", os.O_WRONLY), 2, "No space left"),
+        (closed_pipe, 141, ""),  # the reader has gone away
+    ],
+)
+def test_output_that_nobody_gets_is_no_success(opened, status, said, arguments, folder):
+    words = [sys.executable, "-c", PROGRAM, *arguments]
+    with os.fdopen(opened(), "w") as stdout:
+        done = subprocess.run(words, cwd=folder, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == status
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert bool(said) == bool(done.stderr)
 
 
 @pytest.mark.parametrize("command", ["check", "predict"])

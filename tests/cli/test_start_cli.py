@@ -141,17 +141,17 @@ def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
     assert not (tmp_path / "mine").exists()
 
 
-@pytest.mark.parametrize("travel", ["25 deg", "95 deg", "200 deg", "400 deg"])
+@pytest.mark.parametrize("travel", ["25 deg", "400 deg"])
 @pytest.mark.parametrize("preset", ["drone-imu", "tactical-imu"])
 def test_the_plan_of_an_imu_fits_any_travel(preset, travel):
     assert sound(files_of({**PRESETS[preset], "travel": travel})).schedule.steps
 
 
-@pytest.mark.parametrize("rate", ["30 deg/s", "2000 deg/s"])
-@pytest.mark.parametrize("travel", ["unlimited", "90 deg"])
-def test_files_are_sound_for_any_bench(rate, travel):
+@pytest.mark.parametrize(
+    ("rate", "travel", "grade"), [("30 deg/s", "unlimited", "navigation"), ("2000 deg/s", "90 deg", "consumer")]
+)
+def test_files_are_sound_for_any_bench(rate, travel, grade):
     """The file's own checks hold travel, acceleration, rates and the chamber against the plan."""
-    grade = "navigation" if travel == "unlimited" else "consumer"
     spec = sound(files_of(USUAL | {"rate": rate, "travel": travel, "grade": grade}))
     assert spec.gradient_schedule.steps
 

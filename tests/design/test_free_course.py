@@ -56,12 +56,12 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
     )  # fmt: skip
 
 
-def standing(**changes) -> Spec:
+def standing() -> Spec:
     keys = {
         "sensor.gyro.axes": ["z"], "sensor.gyro.bias.discrepancy": None,
         "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "1 deg/h/K"}],
     }  # fmt: skip
-    return gj.changed(spec_of(ways=1), keys | {k.replace("__", "."): v for k, v in changes.items()})
+    return gj.changed(spec_of(ways=1), keys)
 
 
 def objective(plan: CyclePlan, sharpness: float):

@@ -287,6 +287,10 @@ def _require_consistent(report: SensorEstimate, truth: dict[str, float]) -> None
             lambda log: replace(log, specific_force_m_per_s2=-log.specific_force_m_per_s2),
             "accelerometer x: .*its sign is opposite to the table's",
         ),
+        (
+            lambda log: replace(log, specific_force_m_per_s2=log.specific_force_m_per_s2 / 9.80665),
+            "accelerometer .: .*in g instead of m/s",
+        ),
         (lambda log: replace(log, standstill=np.full(len(log.time_s), -1)), "fewer than two standstills"),
     ],
 )

@@ -34,10 +34,10 @@ class _Simulator:
     def __init__(self, model: ImuModel, units: int, hz: float, rng: np.random.Generator, *, noiseless: bool) -> None:
         (self.channel,), self.encoder, self.installation = model.channels, model.encoder, model.installation
         self.units, self.hz, self.rng, self.noiseless = units, hz, rng, noiseless
-        self.truth = np.zeros((units, self.channel.size))
         self.table = [term.stds * rng.standard_normal(term.size) * (not noiseless) for term in model.installation]
+        self.truth = self._drawn_truth()
 
-    def draw_truth(self) -> None:
+    def _drawn_truth(self) -> np.ndarray:
         """Reported parameters from their priors (typical sizes where a prior is flat), discrepancies zero."""
         channel, std, to_reported = self.channel, np.zeros(self.channel.size), np.eye(self.channel.size)
         for term in channel.terms:
@@ -48,7 +48,7 @@ class _Simulator:
             elif term.name == TEMPERATURE_GRADIENT and term.has_prior:
                 std[own] = float(term.std)
         reported = std * self.rng.standard_normal((self.units, channel.size))
-        self.truth = np.linalg.solve(to_reported, reported.T).T
+        return np.linalg.solve(to_reported, reported.T).T
 
     def errors(self, rate: np.ndarray, temperature: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Of the maps and the clock, rad/s `(U, n)`."""
@@ -113,13 +113,12 @@ def simulate_log(
     units: int = 1,
     sample_rate_hz: float = 50.0,
     seed: int = 0,
-    truth: dict[str, np.ndarray] | None = None,
     noiseless: bool = False,
     readings: bool = False,
 ) -> SimulatedLog:
     """Samples of every channel of a gradient plan, or the plateaus of a standard one.
 
-    `truth`: the engine's parameters `(U, p)` by channel. `noiseless` leaves out all noise: what is left is sampling
+    `noiseless` leaves out all noise: what is left is sampling
     alone. `readings`: the log has the plan's readings as events, those between two moves among them, instead of the
     angle at every row.
     """
@@ -127,10 +126,6 @@ def simulate_log(
     assert spec.sensor.gyro is not None
     axis = spec.sensor.gyro.axes[0]
     simulator = _Simulator(built.model, units, sample_rate_hz, np.random.default_rng(seed), noiseless=noiseless)
-    if truth is None:
-        simulator.draw_truth()
-    else:
-        simulator.truth = truth[axis].copy()
     if isinstance(spec.schedule, StandardSchedule):
         return _standard(simulator, spec.schedule, axis)
     return _gradient(simulator, built.motion.line, axis, readings=readings)

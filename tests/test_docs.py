@@ -16,12 +16,7 @@ from gradcal_jax.cli import main
 ROOT = Path(__file__).parents[1]
 FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
-WRITTEN = TEXTS
 README = TEXTS["README.md"]
-
-
-def section(title, page="README.md"):
-    return TEXTS[page].split(f"## {title}\n", 1)[1].split("\n## ", 1)[0]
 
 
 def rows(text):
@@ -46,7 +41,7 @@ def command_of(words):
 def usages():
     """Every option that a page gives to a command, in text and in code blocks."""
     found = {}
-    for text in WRITTEN.values():
+    for text in TEXTS.values():
         for use in re.findall(r"`gradcal ([^`]+)`", text) + lines_of(text):
             words = use.split()
             options = re.findall(r"(?<![\w-])--?[a-z-]+", use)

@@ -13,7 +13,6 @@ Every number that a change moves is printed with its largest relative difference
 
 import contextlib
 import json
-import multiprocessing
 import os
 import sys
 from pathlib import Path
@@ -31,33 +30,15 @@ jax.config.update("jax_platforms", "cpu")
 jax.config.update("jax_enable_x64", True)
 
 
-def prediction(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
-    """A case's record."""
-    name, tables = name_and_tables
-    return name, {"tables": tables, "changes": [], **recorded.prediction(tables)}
-
-
-def elasticities(name_and_tables: tuple[str, dict]) -> tuple[str, dict | None]:
-    """None where `sensitivity` refuses."""
-    name, tables = name_and_tables
-    with contextlib.suppress(ValueError):
-        return name, recorded.elasticities(tables)
-    return name, None
-
-
-def unit(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
-    name, tables = name_and_tables
-    return name, {"tables": tables, **recorded.prediction(tables)}
-
-
-def calibration(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
-    name, tables = name_and_tables
-    return name, {"tables": tables, **recorded.calibration(tables)}
-
-
-def estimate(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
-    name, tables = name_and_tables
-    return name, {"tables": tables, **recorded.estimate(name, tables)}
+def record_of(kind: str, name: str, tables: dict) -> dict:
+    """A case's record. Raises `ValueError` where `sensitivity` refuses."""
+    if kind == "elasticities":
+        return recorded.elasticities(tables)
+    if kind == "calibrations":
+        return {"tables": tables, **recorded.calibration(tables)}
+    if kind in ("predictions", "units"):
+        return {"tables": tables, **recorded.prediction(tables)}
+    return {"tables": tables, **recorded.estimate(name, tables)}
 
 
 def inputs(kind: str) -> dict[str, dict]:
@@ -80,14 +61,7 @@ def difference(new: object, old: object) -> float:
     return 0.0 if new == old else float("inf")
 
 
-KINDS = {
-    "predictions": prediction,
-    "elasticities": elasticities,
-    "units": unit,
-    "calibrations": calibration,
-    "estimates": estimate,
-    "axis_estimates": estimate,
-}
+KINDS = ("predictions", "elasticities", "units", "calibrations", "estimates", "axis_estimates")
 
 
 def main(kind: str, *only: str) -> None:
@@ -98,13 +72,13 @@ def main(kind: str, *only: str) -> None:
     path, every = HERE / f"{kind}.json", inputs(kind)
     before = recorded.read(kind) if path.exists() else {}
     records = dict(before) if only else {}
-    wanted = {name: tables for name, tables in every.items() if not only or name in only}
-    with multiprocessing.get_context("spawn").Pool(2, maxtasksperchild=8) as pool:
-        for number, (name, made) in enumerate(pool.imap(KINDS[kind], wanted.items())):
-            if made is not None:
-                records[name] = made
-                moved = difference(made, before[name]) if name in before else None
-                print(f"{kind} {number + 1}/{len(wanted)} {name}: {made.get('changes', '')} {moved}", flush=True)
+    for name, tables in every.items():
+        if only and name not in only:
+            continue
+        with contextlib.suppress(ValueError):
+            records[name] = record_of(kind, name, tables)
+            moved = difference(records[name], before[name]) if name in before else None
+            print(f"{kind} {name}: {moved}", flush=True)
     lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(made, ensure_ascii=False)}" for name, made in records.items())
     path.write_text("{\n" + lines + "\n}\n", encoding="utf-8")
     return None

@@ -1,7 +1,6 @@
 """Numbers that stay as they are: what the code at hand computes, against what is recorded beside this file.
 
-`record.py` wrote them, and says which cases are known to be wrong: those are skipped with their reason until the
-mistake is mended and they are recorded anew. A few cases are part of every run; `-m evidence` takes them all.
+`record.py` wrote them. A few cases are part of every run; `-m evidence` takes them all.
 """
 
 import numpy as np
@@ -49,8 +48,6 @@ def _cases(kind: str, always: set[str]) -> list:
             of = {"tables": predictions[name]["tables"], "rows": of}
         if kind == "judged":
             of = {"tables": predictions[name]["tables"], **of}
-        if kind in ("predictions", "elasticities", "judged") and (reasons := predictions[name]["changes"]):
-            marks.append(pytest.mark.skip(reason="; ".join(reasons)))
         found.append(pytest.param(of, id=name, marks=marks))
     return found
 

@@ -2,9 +2,11 @@
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import gradcal_jax as gj
 from gradcal_jax.design.plan_objective import ExactObjective
+from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec_sections import Spec
 
 
@@ -24,25 +26,32 @@ IMU = Path(__file__).parents[1] / "experiments" / "imu"
 LINE = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 
 
+def coarse(spec: Spec, *names: str) -> list[dict[str, Any]]:
+    """The requirements as tables, all or those of some names, on grids of 21 points at most."""
+    rows = zip(tables_of(spec)["requirement"], spec.requirement, strict=True)
+    return [row | {"grid": [min(g, 21) for g in of.grid]} for row, of in rows if of.name in (names or (of.name,))]
+
+
+def turns_and_rests(rest: str, *turns: tuple[str, int]) -> list[dict[str, str]]:
+    """The moves of a cycle: turns (axis, deg) with a rest after each."""
+    moves = []
+    for axis, angle in turns:
+        moves += [{"turn": f"{angle} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": rest}]
+    return moves
+
+
 @lru_cache
 def turning() -> Spec:
     """A gyro and its accelerometers on a ramp, small enough to compile quickly."""
     spec = gj.read_spec(IMU / "hand2.toml")
     turns = [("spin", 720), ("spin", -720), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -380), ("spin", 55)]
     turns += [("tilt", -135), ("spin", 130), ("tilt", 180), ("spin", 135), ("tilt", -165)]
-    moves = [
-        m for axis, t in turns for m in ({"turn": f"{t} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": "17 s"})
-    ]
     maps = ("gyro.bias", "gyro.scale_factor", "accelerometer.bias", "accelerometer.scale_factor")
     changes = {f"sensor.{name}.temperature": LINE for name in maps} | {
         "sensor.gyro.axes": ["x", "z"],
         "sensor.gyro.scale_factor.rate": {"degree": 1, "scale": "300 deg/s"},
-        "plan.cycle.moves": moves,
-        "requirement": [
-            r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
-            for r in spec.requirement
-            if r.name in ("gyro scale factor", "gyro bias", "accelerometer scale factor")
-        ],
+        "plan.cycle.moves": turns_and_rests("17 s", *turns),
+        "requirement": coarse(spec, "gyro scale factor", "gyro bias", "accelerometer scale factor"),
     }
     return gj.changed(spec, changes)
 
@@ -51,11 +60,7 @@ def turning() -> Spec:
 def one_gyro() -> Spec:
     """A gyro on a table of two axes, one of limited travel."""
     spec = gj.read_spec(IMU / "hand2.toml")
-    turns = [("spin", 1000), ("tilt", 90), ("spin", -640), ("tilt", -90)]
-    moves = [
-        m for axis, t in turns for m in ({"turn": f"{t} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": "8 s"})
-    ]
-    rows = [r for r in spec.requirement if r.name in ("gyro scale factor", "gyro bias")]
+    turns = (("spin", 1000), ("tilt", 90), ("spin", -640), ("tilt", -90))
     changes = {
         "sensor.accelerometer": None,
         "sensor.gyro.axes": ["z"],
@@ -65,9 +70,9 @@ def one_gyro() -> Spec:
         "sensor.gyro.scale_factor.temperature": LINE,
         "sensor.gyro.scale_factor.rate": {"degree": 1, "scale": "300 deg/s"},
         "rig.table.axis[0].travel": "200 deg",
-        "plan.cycle.moves": moves,
+        "plan.cycle.moves": turns_and_rests("8 s", *turns),
         "design": {"minimise": "gyro scale factor"},
-        "requirement": [r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)} for r in rows],
+        "requirement": coarse(spec, "gyro scale factor", "gyro bias"),
     }
     return gj.changed(spec, changes)
 

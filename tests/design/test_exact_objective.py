@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_problem import IMU, one_gyro, turning
+from search_problem import IMU, coarse, one_gyro, turning
 
 import gradcal_jax as gj
 from gradcal_jax.design import cycle_plan
 from gradcal_jax.design.cycle_plan import CyclePlan
+from gradcal_jax.spec.changes import tables_of
 
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 2, "rate_degree": 2}
@@ -19,9 +20,7 @@ HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 2, "rate_degree"
 def preset(name: str, **changes) -> gj.Spec:
     """A preset on coarser grids."""
     spec = gj.changed(gj.parse_spec(gj.presets.text(name)), changes)
-    rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
-    coarse = [row | {"grid": [min(g, 21) for g in row["grid"]]} if "grid" in row else row for row in rows]
-    return gj.changed(spec, {"requirement": coarse})
+    return gj.changed(spec, {"requirement": coarse(spec)})
 
 
 def six(**design) -> gj.Spec:
@@ -31,7 +30,7 @@ def six(**design) -> gj.Spec:
 def limited() -> gj.Spec:
     """One requirement is minimised; the target of another, which the plan misses, limits the search."""
     spec = six()
-    rows = [r.model_dump(mode="json", exclude_unset=True) | {"target": "1 ug"} for r in spec.requirement]
+    rows = [row | {"target": "1 ug"} for row in tables_of(spec)["requirement"]]
     rows = [rows[0], *(row for row in rows[1:] if row["quantity"] == "accelerometer_bias")]
     return gj.changed(spec, {"requirement": rows, "design.minimise": rows[0]["name"]})
 
@@ -39,7 +38,7 @@ def limited() -> gj.Spec:
 def read_at_rest(every: str) -> gj.Spec:
     """One gyro on a table whose angle is read at rest."""
     spec = gj.read_spec(IMU.parent / "designs" / "headline.toml")
-    requirement = spec.requirement[0].model_dump(mode="json", exclude_unset=True)
+    requirement = tables_of(spec)["requirement"][0]
     moves = []
     for angle, rate in ((5400, 300), (-5400, 300), (3600, 150), (-3600, 150)):
         turn = {"turn": f"{angle} deg", "axis": "x", "peak_rate": f"{rate} deg/s", "shape": "linear ramps"}

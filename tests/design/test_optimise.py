@@ -17,7 +17,7 @@ from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.searching import Optimised
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec_sections import Spec
 
 
@@ -173,8 +173,8 @@ def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
 
 def with_targets(spec, own: str, bias: str = "") -> Spec:
     """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
-    (row,) = spec.requirement
-    rows = [row.model_dump(mode="json", exclude_unset=True) | {"target": own}]
+    (row,) = tables_of(spec)["requirement"]
+    rows = [row | {"target": own}]
     if bias:
         rows.append(rows[0] | {"name": "worst", "statistic": "max", "target": bias})
     return changed(spec, {"requirement": rows})

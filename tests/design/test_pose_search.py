@@ -16,6 +16,7 @@ from gradcal_jax.design.optimise import run_search
 from gradcal_jax.design.plan_objective import EXCESS
 from gradcal_jax.design.searching import Optimised, SearchStep
 from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.tables import writing
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
@@ -48,9 +49,11 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
 
 def minimising(name: str, **targets: str) -> dict:
     """A design for one requirement, with targets for those of a quantity."""
-    rows = [r.model_dump(mode="json", exclude_unset=True) for r in small().requirement]
-    rows = [{k: v for k, v in row.items() if k != "target"} for row in rows]
-    limited = [row | ({"target": targets[row["quantity"]]} if row["quantity"] in targets else {}) for row in rows]
+    limited = tables_of(small())["requirement"]
+    for row in limited:
+        row.pop("target", None)
+        if row["quantity"] in targets:
+            row["target"] = targets[row["quantity"]]
     return {"design.minimise": name, "requirement": limited}
 
 
@@ -80,7 +83,7 @@ def test_targets_are_met_by_their_rule():
     """Noise as it is written meets targets of 1.2 times what it leaves; twice the standard deviation is within a target
     where one is within half of it."""
     plain = CyclePlan(small())
-    rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
+    rows = tables_of(plain.spec)["requirement"]
     left = plain.exact.left(plain.spec)[0]
 
     def met(share: float, **keys: object) -> bool:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_problem import SPEC
+from search_problem import SPEC, coarse
 
 import gradcal_jax as gj
 from gradcal_jax.information.prediction import predict
@@ -138,11 +138,7 @@ def imu():
     maps["sensor.gyro.scale_factor.rate"] = {"degree": 1, "scale": "300 deg/s"}
     gears = {f"rig.table.axis[{k}].angle.scale_error": "20 ppm" for k in (0, 1)}
     gears |= {f"rig.table.axis[{k}].angle.backlash": "30 arcsec" for k in (0, 1)}
-    kept = [
-        r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
-        for r in spec.requirement
-        if "scale" in r.name
-    ]
+    kept = coarse(spec, *(r.name for r in spec.requirement if "scale" in r.name))
     course = {"plan.temperature": ["20 degC", "30 degC"], "plan.gradient": "1 K/min"}
     return changed(
         spec, maps | gears | course | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept}

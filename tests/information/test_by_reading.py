@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import dense_of
 
 from gradcal_jax.information import NoiseSteps, by_reading, gram, weights, whiten
 
@@ -33,10 +34,10 @@ def assert_close(found, wanted, tolerance=1e-10):
 def test_the_filter_is_dense_least_squares_on_all_readings(sizes, traced):
     """Rows, weights `V⁻¹Φ`, and states by the readings up to each, against the covariance written out."""
     steps, columns = random_system(*sizes)
-    dense, seen = covariance_of(steps), steps.used & (np.arange(sizes[2]) != sizes[2] // 2)
+    seen = steps.used & (np.arange(sizes[2]) != sizes[2] // 2)
     known = np.flatnonzero(seen)
     wanted = np.zeros(columns.shape)
-    wanted[known] = np.linalg.solve(dense[np.ix_(known, known)], columns[known])
+    wanted[known] = np.linalg.solve(dense_of(steps._replace(used=seen)), columns[known])
     rows = np.asarray(whiten(*jax.tree.map(jnp.asarray, (steps, columns))) if traced else whiten(steps, columns))
     assert_close(rows.T @ rows, columns.T @ wanted)
     assert not rows[~seen].any()
@@ -48,20 +49,6 @@ def test_the_filter_is_dense_least_squares_on_all_readings(sizes, traced):
     smoothed = columns[last] - steps.reading_variance[last] * wanted[last]
     assert_close(steps.observation[last] @ states[last], smoothed)
     assert_close((per_std > 0.0).astype(float), seen.astype(float))
-
-
-def covariance_of(steps: NoiseSteps) -> np.ndarray:
-    """Covariance of all readings."""
-    covariance, response, rows = steps.initial, [], []
-    for f, q in zip(steps.transition, steps.covariance, strict=True):
-        covariance = f @ covariance @ f.T + q
-        response = [f @ earlier for earlier in response] + [covariance]
-        rows.append(list(response))
-    dense = np.zeros((len(rows),) * 2)
-    for k, row in enumerate(rows):
-        for j, cross in enumerate(row):
-            dense[k, j] = dense[j, k] = steps.observation[k] @ cross @ steps.observation[j]
-    return dense + np.diag(steps.reading_variance)
 
 
 def moved(steps: NoiseSteps, columns: np.ndarray, size) -> tuple[NoiseSteps, jax.Array]:

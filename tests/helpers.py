@@ -373,9 +373,9 @@ def reference(scene: Scene) -> Reference:
     increments = np.concatenate(blocks, axis=1)
     turned = np.r_[0.0, np.cumsum(np.sum(weight * rate, axis=1))]
 
-    counts = len(found.readings)
-    upto = np.array([int(np.argmin(np.abs(edges - r.time))) for r in found.readings])
-    origin = np.array([int(np.argmin(np.abs(edges - found.origins[r.origin].time))) for r in found.readings])
+    time, still, speed, of = np.array(found.readings).T
+    begin, first = (column[of.astype(int)] for column in np.array(found.origins).T[:2])
+    upto, origin = (np.argmin(np.abs(edges - t[:, None]), axis=1) for t in (time, begin))
     number = np.arange(len(a))
     within = ((number[None] >= origin[:, None]) & (number[None] < upto[:, None])).astype(Extended)
     regressors = within @ increments.astype(Extended)
@@ -388,17 +388,12 @@ def reference(scene: Scene) -> Reference:
         motion = motion + _kernel_blocks(noise, found, a, width, times, weight, rate)
     covariance = within @ motion @ within.T
 
-    readings, origins = found.readings, found.origins
-    white = np.zeros((counts, counts + len(origins)), Extended)
-    size = np.full(counts + len(origins), scene.reading_noise, Extended)
-    standing = np.zeros((counts, 1 + max([r.standstill for r in readings] + [o.standstill for o in origins])), Extended)
-    for k, r in enumerate(readings):
-        white[k, k], white[k, counts + r.origin] = 1.0, -1.0
-        size[k] = np.hypot(scene.reading_noise, scene.timing * r.rate) if r.standstill < 0 else scene.reading_noise
-        if r.standstill >= 0:
-            standing[k, r.standstill] += 1.0
-        standing[k, origins[r.origin].standstill] -= 1.0
-    covariance = covariance + (white * size**2) @ white.T + scene.offset**2 * standing @ standing.T
+    # The noise of each reading and of the one that it counts from; the offsets of both standstills.
+    white = np.c_[np.eye(len(time)), -np.eye(len(found.origins))[of.astype(int)]]
+    size = np.r_[np.hypot(scene.reading_noise, scene.timing * speed), [scene.reading_noise] * len(found.origins)]
+    numbers = np.arange(still.max() + 1.0)
+    standing = (still[:, None] == numbers) * 1.0 - (first[:, None] == numbers)
+    covariance = covariance + (white * size.astype(Extended) ** 2) @ white.T + scene.offset**2 * standing @ standing.T
     return Reference(regressors, covariance)
 
 

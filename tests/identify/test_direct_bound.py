@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plain_drifts import drifts
@@ -48,7 +50,7 @@ def test_the_model_itself_comes_back():
     t = integration_times(1.0, 3600.0, 1.0)
     exact = 2.5 * np.asarray(limiting_function_of_mean(t, DEG_PER_H, 120.0, WALK, 60.0))
     observed = observe(at_rest(0, 4, 0.0, 1.0), 60.0, 3600.0)
-    observed = type(observed)(**{**vars(observed), "largest_drift": exact})
+    observed = replace(observed, largest_drift=exact)
     bound = fit_direct_bound(observed, WALK, raise_margin=False)
     assert bound.drift_std / DEG_PER_H == pytest.approx(1.0, rel=1e-3)
     assert bound.correlation_time_s == pytest.approx(120.0, rel=1e-3)
@@ -123,7 +125,7 @@ def test_a_drift_beyond_the_record_is_told_by_its_slope():
     observed = observe(at_rest(0, 4, 0.0, 1.0), 60.0, 3600.0)
     t = observed.integration_time_s
     exact = 2.5 * np.asarray(limiting_function_of_mean(t, 1.0, 1e8, 1e-3, 60.0))
-    observed = type(observed)(**{**vars(observed), "largest_drift": exact})
+    observed = replace(observed, largest_drift=exact)
     bound = fit_direct_bound(observed, 1e-3, raise_margin=False)
     assert "σ²/τ" in bound.messages[0]
     assert bound.correlation_time_s > 10_000.0

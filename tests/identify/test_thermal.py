@@ -20,7 +20,7 @@ def test_the_lag_solves_its_differential_equation():
     np.testing.assert_allclose(lagged(ramp, 2.0, 1e-3), ramp, atol=0.02)
 
 
-@pytest.mark.parametrize("lag", [0.0, 40.0, 300.0])
+@pytest.mark.parametrize("lag", [0.0, 300.0])
 def test_a_lagging_cubic_is_found(lag):
     rng = np.random.default_rng(int(lag))
     z = (lagged(CYCLE, INTERVAL, lag) - 20) / 50

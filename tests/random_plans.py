@@ -15,7 +15,7 @@ Tables = dict[str, Any]
 _WARM = {"degree": 1, "centre": "20 degC", "scale": "40 K"}
 _CHAMBER = {"range": ["-40 degC", "85 degC"], "max_heating": "6 K/min", "max_cooling": "6 K/min"}
 _BIAS = {"name": "bias", "quantity": "gyro_bias", "temperature": ["16 degC", "25 degC"], "statistic": "max"}
-_SCALE = {"name": "scale factor", "quantity": "gyro_scale_factor", "axis": "x", "temperature": ["16 degC", "25 degC"],
+SCALE = {"name": "scale factor", "quantity": "gyro_scale_factor", "axis": "x", "temperature": ["16 degC", "25 degC"],
           "rate": ["-200 deg/s", "200 deg/s"], "grid": [5, 7]}  # fmt: skip
 
 
@@ -171,5 +171,5 @@ def plan_of(kind: str, number: int, *, terms: bool = False) -> Tables:
     tables["plan"] |= {"method": "gradient"} | draws.course()
     tables["rig"]["chamber"] = _CHAMBER
     tables["sensor"]["clock"] = "host"  # with which a run compares the unit's
-    scale = _SCALE | {"statistic": draws.one("mean of max", "max", "mean", "rms")}
+    scale = SCALE | {"statistic": draws.one("mean of max", "max", "mean", "rms")}
     return {"format": "gradcal-spec/1", "requirement": [_BIAS, scale] if terms else [_BIAS]} | tables

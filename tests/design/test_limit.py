@@ -8,7 +8,7 @@ import copy
 
 import numpy as np
 import pytest
-from random_plans import plan_of
+from random_plans import KINDS, SCALE, plan_of
 
 from gradcal_jax.design.noise_floor import least_noise_density
 from gradcal_jax.design.plan_limit import limit
@@ -20,7 +20,7 @@ from gradcal_jax.tables.problems import SpecError
 # Certificates are computed to a duality gap; rounding of the engine is far below.
 SLACK = 1e-6
 # 1 and 15: a degree-0 spline, whose jump a look at a slow process sees as it is. 11: near its limit.
-ALWAYS = {1, 11, 15, 24}
+ALWAYS = [("axis", seed) for seed in (1, 11, 15, 24)] + [("unit", seed) for seed in (0, 1)]
 REFUSALS = (
     "polynomial in rate",
     "a limit is proven",
@@ -54,9 +54,11 @@ def values_of(document: dict) -> dict[tuple[str, str], float | None] | None:
     return {(row.name, row.axis): getattr(row, row.statistic.replace(" ", "_")) for row in predict(spec).requirements}
 
 
-def check(seed: int) -> tuple[str, float]:
+def check(kind: str, seed: int) -> tuple[str, float]:
     """What became of a case ("held", or the refusal's sentence), and the least residual over its limit."""
-    rng, document = np.random.default_rng(50_000 + seed), plan_of("axis", seed, terms=True)
+    rng, document = np.random.default_rng(50_000 + seed), plan_of(kind, seed, terms=kind == "axis")
+    if kind == "unit":
+        document["requirement"].append(SCALE | {"statistic": "max"})
     try:
         proven = limit(spec_of(document))
     except ValueError as error:
@@ -92,17 +94,18 @@ def test_the_floor_of_the_noise_is_its_formula():
     assert found == pytest.approx(wanted, rel=2e-2)
 
 
-@pytest.mark.parametrize("seed", sorted(ALWAYS))
-def test_no_plan_is_below_its_limit(seed):
-    said, least = check(seed)
+@pytest.mark.parametrize(("kind", "seed"), ALWAYS)
+def test_no_plan_is_below_its_limit(kind, seed):
+    said, least = check(kind, seed)
     assert said != "held" or least >= 1.0 - SLACK
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("part", range(10))
-def test_no_plan_of_five_hundred_cases_is_below_its_limit(part):
-    cases = [check(seed) for seed in range(50 * part, 50 * (part + 1))]
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_plan_of_five_hundred_cases_is_below_its_limit(kind, part):
+    cases = [check(kind, seed) for seed in range(50 * part, 50 * (part + 1))]
     refused = {said for said, _ in cases if said != "held"}
     held = [least for said, least in cases if said == "held" and np.isfinite(least)]
-    print(f"part {part}: {len(held)} of {len(cases)} held, nearest {min(held):.4f}; refused: {refused or 'none'}")
+    print(f"{kind} {part}: {len(held)} of {len(cases)} held, nearest {min(held):.4f}; refused: {refused or 'none'}")
     assert len(held) >= 10

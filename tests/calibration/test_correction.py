@@ -75,7 +75,7 @@ def test_bins_jump_and_are_solved_within_the_jump():
 def test_outside_its_range_the_edge_holds_and_is_counted():
     found = parse_calibration(WHOLE)
     log, _ = log_of(found, 100)
-    hot = Log(log.time_s, log.rate_rad_per_s * 1.2, log.units, log.axes, temperature_c=log.temperature_c + 20.0)
+    hot = replace(log, rate_rad_per_s=log.rate_rad_per_s * 1.2, temperature_c=log.temperature_c + 20.0)
     corrected = apply(found, hot)
     assert corrected.outside_temperature == np.count_nonzero(hot.temperature_c > 70.0)
     assert corrected.outside_rate > 10
@@ -111,8 +111,7 @@ def test_masked_rows_stay_masked_and_missing_temperatures_are_bridged():
     status[0, 50:53] = Reason.MISSING_TEMPERATURE
     temperature = log.temperature_c.copy()
     temperature[0, 50:53] = np.nan
-    holed = Log(log.time_s, log.rate_rad_per_s, log.units, log.axes, temperature_c=temperature, status=status)
-    corrected = apply(found, holed).log
+    corrected = apply(found, replace(log, temperature_c=temperature, status=status)).log
     np.testing.assert_allclose(corrected.rate_rad_per_s[0], truth, rtol=1e-9)
     assert corrected.counts() == {"used": 197, "missing temperature": 3}
 
@@ -155,7 +154,7 @@ def test_a_log_that_does_not_fit_is_a_sentence():
 def test_a_log_may_have_fewer_channels_where_none_depends_on_another():
     found = parse_calibration(WHOLE)
     log, truth = log_of(found, 50)
-    alone = Log(log.time_s, log.rate_rad_per_s[:, :, 1:2], log.units, ("y",), temperature_c=log.temperature_c)
+    alone = replace(log, rate_rad_per_s=log.rate_rad_per_s[:, :, 1:2], axes=("y",))
     np.testing.assert_allclose(apply(found, alone).log.rate_rad_per_s[0, :, 0], truth[:, 1], rtol=4e-15, atol=4e-15)
 
 

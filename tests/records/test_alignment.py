@@ -28,7 +28,7 @@ def errors(found: Alignment, unit: Recorded) -> tuple[float, float]:
     return float(offset_s) / found.offset_std_s, (found.rate - unit.rate) / found.rate_std
 
 
-def test_offset_and_slope_are_found_within_their_sigmas() -> None:
+def test_offset_and_slope_are_found_within_their_sigmas():
     sigmas = np.array([errors(*one(seed)) for seed in range(8)])
     assert np.abs(sigmas).max() < 4.0
     found, unit = one(3)
@@ -38,7 +38,7 @@ def test_offset_and_slope_are_found_within_their_sigmas() -> None:
 
 
 @pytest.mark.evidence
-def test_offset_and_slope_of_two_hundred_runs() -> None:
+def test_offset_and_slope_of_two_hundred_runs():
     sigmas = np.array([errors(*one(seed)) for seed in range(1000, 1200)])
     spread, worst = sigmas.std(axis=0), np.abs(sigmas).max(axis=0)
     print(f"200 runs: offset spread {spread[0]:.3f} sigma, worst {worst[0]:.2f}; slope {spread[1]:.3f}, {worst[1]:.2f}")
@@ -54,7 +54,7 @@ def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator
     return random, motion, AngleTrack(*readings(random, motion))
 
 
-def test_another_run_or_another_axis_is_refused() -> None:
+def test_another_run_or_another_axis_is_refused():
     random, motion, track = run_and_unit(5)
     end = float(motion.time_s[-1])
     other = recording(random, turns(random, 10), begins_s=0.0, ends_s=1500.0, ppm=50.0)
@@ -71,7 +71,7 @@ def test_another_run_or_another_axis_is_refused() -> None:
         align(unit.time_s, -unit.rate_dps, track)
 
 
-def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last() -> None:
+def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last():
     random, motion, track = run_and_unit(6, alike=True)
     end = float(motion.time_s[-1])
     whole = recording(random, motion, begins_s=-500.0, ends_s=end + 500.0, ppm=50.0)
@@ -88,7 +88,7 @@ def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last
         align(middle.time_s, middle.rate_dps, track)
 
 
-def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm() -> None:
+def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm():
     random, motion, track = run_and_unit(7)
     end = float(motion.time_s[-1])
     unit = recording(random, motion, begins_s=0.3 * end, ends_s=1.4 * end, ppm=-50.0)
@@ -100,7 +100,7 @@ def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm() -
     assert np.abs(errors(found, unit)).max() < 4.0
 
 
-def test_readings_at_rest_alone_do_not_tell_the_clock() -> None:
+def test_readings_at_rest_alone_do_not_tell_the_clock():
     random, motion, track = run_and_unit(8)
     _, rate = motion.at(track.time_s)
     rests = np.abs(rate) == 0.0
@@ -109,7 +109,7 @@ def test_readings_at_rest_alone_do_not_tell_the_clock() -> None:
         align(unit.time_s, unit.rate_dps, AngleTrack(track.time_s[rests], track.angle_deg[rests]))
 
 
-def test_of_several_axes_the_innermost_is_sensed_by_the_mounting() -> None:
+def test_of_several_axes_the_innermost_is_sensed_by_the_mounting():
     rates = dict(zip("xyz", np.random.default_rng(0).standard_normal((3, 101)), strict=True))
     two, one = (gj.parse_spec(gj.presets.text(f"{name}-axis-table")).rig.table for name in ("two", "one"))
     np.testing.assert_allclose(_about_innermost(two, rates), rates["z"] - np.median(rates["z"]), atol=1e-12)

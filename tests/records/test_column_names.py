@@ -1,7 +1,6 @@
 """Maps from the headers that programs write, and questions where a name contradicts the map."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -35,7 +34,7 @@ def columns_of(text: str) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("header", HEADERS)
-def test_a_map_is_made_from_a_header(header: str, tmp_path: Path):
+def test_a_map_is_made_from_a_header(header, tmp_path):
     (tmp_path / "a.csv").write_text(header + "\n", encoding="utf-8")
     text = map_to_fill_in(tmp_path / "a.csv")
     assert text is not None
@@ -59,7 +58,7 @@ def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
 @pytest.mark.parametrize(
     "name", ["g_x", "w_s", "rate_C", "gyro_s", "t_x", "acc_f", "gyroADC[0]", "x_g", "SampleTimeFine"]
 )
-def test_letters_that_are_no_unit_of_the_quantity_say_nothing(name: str):
+def test_letters_that_are_no_unit_of_the_quantity_say_nothing(name):
     assert contradiction(name, "mdeg/s") is None
 
 
@@ -73,7 +72,7 @@ NAMES = {
 
 
 @pytest.mark.parametrize("names", NAMES)
-def test_units_in_names_of_any_joint_ask_where_they_contradict_and_only_there(names: tuple[str, ...]):
+def test_units_in_names_of_any_joint_ask_where_they_contradict_and_only_there(names):
     for name in names:
         for written, unit in NAMES[names].items():
             joined = [f"{name}_{written}", f"{name} ({written})", f"{name} [{written}]", f"{name}.{written}"]
@@ -85,14 +84,14 @@ def test_units_in_names_of_any_joint_ask_where_they_contradict_and_only_there(na
 
 @pytest.mark.parametrize("start", ["dtheta", "delta_theta", "delta angle", "dAngle", "delta_v", "deltaVelocity"])
 @pytest.mark.parametrize("axis", ["_x", "X", " y", "[2]", "_0"])
-def test_names_of_increments_ask(start: str, axis: str):
+def test_names_of_increments_ask(start, axis):
     question = question_of(start + axis, RateColumn(column="a", unit="mdeg/s"))
     assert question is not None
     assert 'per = "row"' in question
     assert question_of(start + axis, RateColumn(column="a", unit="mdeg", per="row")) is None
 
 
-def test_a_column_that_is_named_by_its_number_has_the_name_of_the_header(tmp_path: Path):
+def test_a_column_that_is_named_by_its_number_has_the_name_of_the_header(tmp_path):
     (tmp_path / "a.csv").write_text("t,gx [mdps]\n" + "".join(f"{k},{k % 3}.5\n" for k in range(9)), encoding="utf-8")
     text = 'format = "gradcal-columns/1"\nsample_rate = "1 Hz"\nrate.x = { column = 1, unit = "deg/s" }\n'
     with pytest.raises(LogError, match="states the unit mdps"):

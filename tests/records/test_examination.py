@@ -146,23 +146,6 @@ def test_standstills_are_numbered_from_truth_values_or_as_given(flags, numbers):
     assert examine(columns(quiet(6), standstill=flags)).standstill.tolist() == numbers
 
 
-@given(first=st.integers(0, 60), length=st.integers(2, 60), gap=st.integers(1, 49))
-@settings(max_examples=60, deadline=None)
-def test_any_part_of_rows_accounts_for_every_row(first, length, gap):
-    time = np.arange(50) * 0.01
-    time[gap:] += 0.3
-    raw = columns(quiet(50), time, temperature=np.arange(50.0), marked=np.zeros(50))
-    try:
-        log = examine(raw.part((first, first + length)))
-    except LogError:
-        assert min(first + length, 50) - first < 2
-        return
-    kept = min(length, 50 - first)
-    assert sum(log.counts().values()) == log.rows_read == 50
-    assert log.counts()["used"] == kept
-    assert log.temperature_c[0].tolist() == list(range(first, first + kept))
-
-
 numbers = st.one_of(st.floats(width=64), st.floats(-10, 10), st.sampled_from([0.0, 1.0, 1e308, -1e308, np.nan, np.inf]))
 
 

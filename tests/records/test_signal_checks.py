@@ -38,7 +38,7 @@ def log_of(rate: np.ndarray, temperature: np.ndarray | None = None) -> Log:
 
 
 @pytest.mark.parametrize("step", [0.0, 0.3 * NOISE, 1.0 * NOISE, 1.4 * NOISE])
-def test_a_sound_channel_shows_nothing(step: float):
+def test_a_sound_channel_shows_nothing(step):
     rate = turning()
     values = rate if step == 0.0 else np.rint(rate / step) * step
     assert not at_a_limit(values).any()
@@ -79,7 +79,7 @@ def test_a_sample_that_is_read_several_times_is_neither_frozen_nor_coarse():
 
 
 @pytest.mark.parametrize(("ratio", "off"), [(20.0, 0.5), (3.0, None)])
-def test_coarse_steps_are_the_fault_and_nothing_else(ratio: float, off: float | None):
+def test_coarse_steps_are_the_fault_and_nothing_else(ratio, off):
     step = ratio * NOISE
     values = np.rint(turning() / step) * step
     seen = coarse_steps(values)

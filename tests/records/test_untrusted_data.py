@@ -1,7 +1,6 @@
 """Data that may come from anybody: sizes are checked before they are believed, links to other files are refused."""
 
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -15,7 +14,7 @@ from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.tables.problems import SpecError
 
 
-def test_a_key_of_many_parts_is_refused_at_once() -> None:
+def test_a_key_of_many_parts_is_refused_at_once():
     plain, quoted, inline = ".".join("a" * 100_000), ".".join(['"a"'] * 100_000), "b." * 9999
     for text in (f"{plain} = 1", f"[{quoted}]", f"a = {{{inline}b = 1}}"):
         begun = time.process_time()
@@ -24,7 +23,7 @@ def test_a_key_of_many_parts_is_refused_at_once() -> None:
         assert time.process_time() - begun < 2.0
 
 
-def test_declared_sizes_are_checked_before_they_are_read(tmp_path: Path) -> None:
+def test_declared_sizes_are_checked_before_they_are_read(tmp_path):
     columns = parse_column_map(
         'format = "gradcal-columns/1"\nsample_rate = "1 Hz"\nrate.x = { column = "x", unit = "deg/s" }'
     )
@@ -37,7 +36,7 @@ def test_declared_sizes_are_checked_before_they_are_read(tmp_path: Path) -> None
         load_netcdf(tmp_path / "bomb.nc")
 
 
-def test_data_of_other_files_are_refused(tmp_path: Path) -> None:
+def test_data_of_other_files_are_refused(tmp_path):
     (tmp_path / "secret").write_bytes(bytes(80))
     with h5py.File(tmp_path / "linked.nc", "w") as file:
         file["x"] = h5py.ExternalLink("secret.nc", "/x")

@@ -166,19 +166,13 @@ def test_files_without_raw_samples_or_reader_are_refused_with_the_remedy(tmp_pat
         read_vehicle_log(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "package", "ending"),
-    [
-        ("pyulog", "pyulog", "ulg"),
-        ("pymavlink", "pymavlink", "bin"),
-    ],
-)
-def test_without_the_extra_a_sentence_names_it(tmp_path, name, package, ending):
+@pytest.mark.parametrize(("package", "ending"), [("pyulog", "ulg"), ("pymavlink", "bin")])
+def test_without_the_extra_a_sentence_names_it(tmp_path, package, ending):
     path = tmp_path / f"a.{ending}"
     path.write_bytes(b"anything")
     script = f"""
 import sys
-sys.modules[{name!r}] = None
+sys.modules[{package!r}] = None
 from gradcal_jax.cli import main
 sys.exit(main(["noise", {str(path)!r}]))
 """

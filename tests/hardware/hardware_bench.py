@@ -21,7 +21,7 @@ from gradcal_jax.hardware.drivers import lines, registers
 from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
-from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
@@ -29,7 +29,6 @@ from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.recipe.rounding import rounded, steps_of
 from gradcal_jax.recipe.tracks import Stability, tracks_of
-from gradcal_jax.records.clockmap import ClockMap, fit_arrivals
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
@@ -41,12 +40,6 @@ BOARD_CHANGES: dict[str, Any] = {
     "limits": {"max_rate": "300 deg/s", "max_acceleration": "2000 deg/s^2"},
     "line": {"boot": "0 s"},
 }
-
-
-def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0) -> ClockMap:
-    """The line of a stream's clocks. Samples that came in one chunk share their host time: its last waited least."""
-    last = np.append(np.diff(host_time_s) > 0.0, True)
-    return fit_arrivals(device_time_s[last], host_time_s[last], resolution_s=resolution_s)
 
 
 @contextmanager
@@ -66,10 +59,6 @@ def espec_config(
 ) -> lines.LinesConfig:
     line = {"pause": pause, "pause_after_command": after, **changes.pop("line", {})}
     return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout=reply_timeout)
-
-
-def f4t_config(reply_timeout: str = "0.2 s", changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
-    return registers.RegistersConfig(protocol="watlow-f4t", changes=changes, reply_timeout=reply_timeout)
 
 
 def lines_config(protocol: str, **more: Any) -> lines.LinesConfig:
@@ -101,7 +90,8 @@ def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
 
 
 espec_bench = _bench(SimulatedEspec, _chamber, espec_config)
-f4t_bench = _bench(SimulatedWatlowF4T, _chamber, f4t_config)
+_F4T = registers.RegistersConfig(protocol="watlow-f4t", reply_timeout="0.2 s")
+f4t_bench = _bench(SimulatedWatlowF4T, _chamber, lambda: _F4T)
 cts_bench = _bench(SimulatedCts, _chamber, partial(lines_config, "cts"))
 grbl_bench = _bench(SimulatedGrbl, _axis, partial(lines_config, "grbl"))
 aerosmith_bench = _bench(SimulatedAerosmith, _axis, partial(lines_config, "aerosmith-like"))
@@ -246,6 +236,15 @@ def short_track() -> Track:
 
 def events(folder: Path, name: str) -> list[Event]:
     return [event for event in read_journal(folder / "journal").events if event.name == name]
+
+
+def ends_aborted(runner: Runner, *words: str) -> RunResult:
+    """Run to an end that is safe, verified, and says so of its reason."""
+    result = runner.run()
+    assert (result.exit_status, result.verified_safe) == ("aborted", True), result
+    for said in words:
+        assert said in result.reason, result.reason
+    return result
 
 
 Act = tuple[Callable[[RunProgress], bool], Callable[[], Any]]

@@ -29,8 +29,7 @@ Shown by tests, without figures:
 * commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed
   (`test_line_devices`, `test_frames`);
 * somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, gives up and goes on
-  (`test_operator`, on a pseudo-terminal of its own);
-* minimalmodbus speaks with the simulated F4 (`test_line_devices`).
+  (`test_operator`, on a pseudo-terminal of its own).
 """
 
 
@@ -39,15 +38,15 @@ def machine() -> str:
     return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def record(proof: str, figure: str, test: str, on: str = "") -> None:
-    """Write or replace the row of one proof; `on`: the computer that made it, if not this one."""
+def record(proof: str, figure: str, test: str) -> None:
+    """Write or replace the row of one proof."""
     rows: dict[str, str] = {}
     if REPORT.exists():
         for line in REPORT.read_text(encoding="utf-8").splitlines():
             cells = [cell.strip() for cell in line.strip("|").split("|")]
             if len(cells) == 5 and cells[0] not in ("proof", "---"):
                 rows[cells[0]] = line
-    cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", on or machine())
+    cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", machine())
     rows[proof] = f"| {' | '.join(cells)} |"
     REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + _FOOT, encoding="utf-8")

@@ -28,10 +28,10 @@ from gradcal_jax.spec.rig import read_rig
 from gradcal_jax.tables.writing import write_toml, write_whole
 
 
-def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
-    clock, spec = FastClock(speed), read_recipe(folder / "recipe.toml").spec
-    burst_s = 0.016 if speed == 1.0 else 0.5
-    options: Any = {"seed": seed, "units": units, "sample_rate_hz": sample_rate_hz}
+def serve(at: str, speed: str, seed: str, units: str, sample_rate_hz: str) -> None:
+    folder, clock = Path(at), FastClock(float(speed))
+    spec, burst_s = read_recipe(folder / "recipe.toml").spec, 0.016 if clock.speed == 1.0 else 0.5
+    options: Any = {"seed": int(seed), "units": int(units), "sample_rate_hz": float(sample_rate_hz)}
     with SimulatedLab(spec, clock, burst_s=burst_s, room_c=20.0, **options) as lab:
         write_toml(lab.rig, folder / "rig.toml")
         write_whole(folder / "hidden_truth.json", json.dumps(lab.truths()))
@@ -42,7 +42,8 @@ def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: flo
                 print(lab.chamber.mode, rate, flush=True)
 
 
-def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
+def run(at: str, to: str, times: str, *guard: str) -> int:
+    folder, path, speed = Path(at), Path(to), float(times)
     clock = FastClock(speed)
     if (path / "run.json").exists():
         made, first = RunFolder(path), prepare_resume(RunFolder(path))
@@ -58,7 +59,7 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
         memory_mb.append(pages * os.sysconf("SC_PAGESIZE") / 1e6)
 
     result = run_session(
-        made, made.rig(), clock, first_step=first, guard=guard, limits=limits, safe_deadline_s=20.0 * speed,
+        made, made.rig(), clock, first_step=first, guard=bool(guard), limits=limits, safe_deadline_s=20.0 * speed,
         on_progress=look,
     )  # fmt: skip
     used, took_s = os.times(), clock.now() - began_s
@@ -102,7 +103,4 @@ def start_run(
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "serve":
-        serve(Path(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5]), float(sys.argv[6]))
-    else:
-        sys.exit(run(Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]), "guard" in sys.argv[5:]))
+    sys.exit({"serve": serve, "run": run}[sys.argv[1]](*sys.argv[2:]))

@@ -10,9 +10,6 @@ from matrix_errors import nees_of
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.hardware import execute
-from gradcal_jax.hardware.clock import VirtualClock
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
-from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.recipe import Recipe
@@ -124,28 +121,3 @@ def estimated(
     values, true = reported[kept] @ found.parameters, np.array([truth[name] for name in of_kept])
     nees = nees_of(of_kept, values, true, found.known.covariance(reported[kept]))
     return chi_squared, degrees, nees, len(kept)
-
-
-class Stage:
-    """A stage of which nothing but turns is asked, that turns at `pace` times the rate that it is told."""
-
-    def __init__(self, clock: VirtualClock, pace: float = 1.0) -> None:
-        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
-        self.pace, self.told = pace, list[float]()
-
-    def not_asked(self, *said: Any) -> Any:
-        raise AssertionError("nothing but turns is asked for here")
-
-    identify = home = spin = stop = safe = close = not_asked
-
-    def limits(self) -> AxisLimits:
-        return AxisLimits(100.0, 100.0, None, None, 0.001)
-
-    def read(self) -> AxisReading:
-        now = self.clock.now()
-        angle, rate = self.plant.state(now)
-        return AxisReading(now, angle, rate, self.plant.moving(now), True, ())
-
-    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        self.told.append(position_deg)
-        self.plant.move_to(self.clock.now(), position_deg, rate_dps * self.pace, acceleration_dps2)

@@ -3,11 +3,10 @@
 A kill comes at any time of a run with the same chance. What the run did then is read from the journal afterwards.
 """
 
-import collections
 import signal
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import exit_status
 from gradcal_jax.hardware.track import Track
 
-STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
 # A run waits for the temperature for about so long, real s.
 _WAITS_S = 3.0
 _WHILE_IT_STARTS, _WHILE_SAFE = 0.1, 0.15
@@ -26,7 +24,7 @@ _WHILE_IT_STARTS, _WHILE_SAFE = 0.1, 0.15
 
 @dataclass
 class Killer:
-    """Kills runs of a track on the laboratory in a folder, until there are `most` kills, counted by where they fell."""
+    """Kills runs of a track on the laboratory in a folder, until there are `most` kills."""
 
     folder: Path
     track: Track
@@ -34,7 +32,7 @@ class Killer:
     random: np.random.Generator
     most: int
     guard: bool = False
-    kills: collections.Counter[str] = field(default_factory=collections.Counter)
+    kills: int = 0
 
     def run_to_its_end(self, path: Path, after_a_kill: Callable[[list[Event]], None] = lambda fresh: None) -> None:
         """Begin a run, kill it and go on with it until it is complete. `after_a_kill` is handed the events of the part
@@ -42,7 +40,7 @@ class Killer:
         torn, records = b"", []
         while True:
             run = start_run(self.folder, path, self.speed, guard=self.guard)
-            killed = self.kills.total() < self.most and self._strike(run, path / "journal")
+            killed = self.kills < self.most and self._strike(run, path / "journal")
             said, _ = run.communicate()
             journal = (path / "journal").read_bytes() if (path / "journal").exists() else b""
             # Nothing that was on the disk is ever lost or changed, and it reads as it did.
@@ -51,7 +49,7 @@ class Killer:
             assert contents.records[: len(records)] == records
             if killed:
                 fresh = [entry for entry in contents.records[len(records) :] if isinstance(entry, Event)]
-                self.kills[fell_in(fresh)] += 1
+                self.kills += 1
                 after_a_kill(fresh)
             torn, records = journal, contents.records
             # A kill may come between the run's last word and the end of its process.
@@ -90,24 +88,6 @@ def lasts(run: "subprocess.Popen[str]", real_s: float) -> bool:
     except subprocess.TimeoutExpired:
         return True
     return False
-
-
-def fell_in(events: list[Event]) -> str:
-    """What a session did when it was killed, by the events that it left."""
-    state = STARTING
-    turning: set[str] = set()
-    for event in events:
-        if event.name == "ending":
-            state = SAFE
-        elif event.name == "step":
-            state = WAITING
-        elif event.name == "step begins":
-            state = STANDING if event.data["data"] else WAITING
-        elif event.name == "move" and event.data["kind"] == "turn":
-            turning.add(event.data["axis"])
-        elif event.name == "angle" and not event.data["moving"]:
-            turning.discard(event.data["axis"])
-    return TURNING if state == STANDING and turning else state
 
 
 def require_seams(contents: JournalContents, track: Track) -> int:

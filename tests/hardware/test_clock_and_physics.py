@@ -1,6 +1,5 @@
 """Virtual time never overtakes work or bytes; the physics behind the simulated devices is what it says."""
 
-import threading
 import time
 
 import numpy as np
@@ -14,31 +13,6 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPl
 # --- clock ------------------------------------------------------------------------------------------------------------
 
 
-def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
-    clock = VirtualClock()
-    order: list[tuple[float, str]] = []
-    ready = threading.Barrier(3)
-
-    def sleeper(name: str, times: list[float]) -> None:
-        with clock.party():
-            ready.wait()
-            for moment in times:
-                clock.sleep_until(moment)
-                order.append((clock.now(), name))
-
-    threads = [
-        threading.Thread(target=sleeper, args=args)
-        for args in (("a", [1.0, 100.0, 5000.0]), ("b", [2.0, 99.0, 10000.0]), ("c", [0.5, 1.5, 7200.0]))
-    ]
-    started = time.monotonic()
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert time.monotonic() - started < 2.0
-    assert [moment for moment, _ in order] == sorted([1.0, 100.0, 5000.0, 2.0, 99.0, 10000.0, 0.5, 1.5, 7200.0])
-
-
 def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = RealClock()
     monkeypatch.setattr(time, "time", lambda: 0.0)
@@ -48,20 +22,6 @@ def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.Monkey
 
 
 # --- plants -----------------------------------------------------------------------------------------------------------
-
-
-def test_chamber_keeps_its_rates_settles_and_drifts_back() -> None:
-    truth = ChamberTruth(start_c=23.0)
-    plant = ChamberPlant(truth)
-    plant.command(0.0, target_c=-40.0)
-    plant.switch(0.0, True)
-    times = np.arange(0.0, 7200.0, 10.0)
-    air = np.array([plant.air_c(t) for t in times])
-    assert np.min(np.diff(air)) / 10.0 * 60.0 >= -truth.cooling_k_per_min - 1e-9
-    assert air[-1] == pytest.approx(-40.0, abs=1e-6)
-    plant.switch(7200.0, False)
-    after = plant.air_c(7200.0 + truth.idle_time_constant_s)
-    assert after == pytest.approx(truth.ambient_c - 63.0 * np.exp(-1.0), abs=0.01)
 
 
 def test_load_trails_a_ramp_by_its_time_constants() -> None:
@@ -78,21 +38,6 @@ def test_load_trails_a_ramp_by_its_time_constants() -> None:
     assert after - before == pytest.approx(1.0, rel=0.01)
 
 
-def test_trapezoid_arrives_exactly_within_rate_and_acceleration() -> None:
-    plant = AxisPlant()
-    plant.move_to(10.0, 720.0, 150.0, 300.0)
-    times = np.linspace(10.0, 20.0, 20001)
-    position = plant.position(times)
-    rate = np.diff(position) / np.diff(times)
-    assert np.max(rate) == pytest.approx(150.0, abs=1e-3)
-    assert np.max(np.abs(np.diff(rate) / np.diff(times)[1:])) < 300.0 * 1.01
-    assert plant.state(10.0 + 0.5 + 4.3 + 0.5)[0] == pytest.approx(720.0)
-    assert not plant.moving(16.0)
-    plant.spin(20.0, -90.0, 90.0)
-    assert plant.state(30.0) == (pytest.approx(720.0 - 45.0 - 90.0 * 9.0), -90.0)
-    assert plant.moving(30.0)
-
-
 def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it() -> None:
     plant = AxisPlant(AxisTruth(rate_accuracy=200e-6, seed=5))
     errors: list[float] = []
@@ -104,14 +49,6 @@ def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it
         assert (plant.reading(end) - plant.reading(begin)) / 98.0 == pytest.approx(told, rel=1e-9)
     assert np.std(errors) == pytest.approx(200e-6, rel=0.15)
     assert abs(np.mean(errors)) < 4.0 * 200e-6 / np.sqrt(300.0)
-    # Angles are told in what the encoder says, and turns are as long as they were told.
-    plant.spin(30000.0, 0.0, 1000.0)
-    there = plant.reading(30010.0)
-    plant.move_to(30010.0, there + 360.0, 100.0, 100.0)
-    assert plant.reading(30100.0) - there == pytest.approx(360.0, abs=1e-6)
-    assert plant.state(30100.0)[0] - plant.state(30010.0)[0] == pytest.approx(360.0, abs=1e-6)
-    plant.set_zero(30200.0)
-    assert plant.reading(30201.0) == 0.0
 
 
 def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:

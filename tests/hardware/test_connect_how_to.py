@@ -11,7 +11,7 @@ from simulated_devices.line_chambers import SimulatedCts
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.modbus import ModbusSlave
 from simulated_devices.port import SimulatedPort
-from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
+from simulated_devices.text_unit import SimulatedTextUnit
 from simulated_devices.wire import Wire
 
 from gradcal_jax.cli import main
@@ -29,7 +29,7 @@ def peer(name: str, clock: Clock) -> Any:
         return ModbusSlave({1: 265, 2: 230, 23: 0})
     if name == "grbl":
         return SimulatedGrbl(AxisPlant(None, clock.now()), clock)
-    return SimulatedTextUnit(sensor_on_table(clock, sample_rate_hz=100.0), clock, TextUnitOptions(boot_s=1.5))
+    return SimulatedTextUnit(sensor_on_table(clock, sample_rate_hz=100.0), clock, boot_s=1.5)
 
 
 def checked(
@@ -77,13 +77,3 @@ def test_errors_that_one_makes_are_said(
     assert status != 0 or not words
     if words and name == "modbus" and "tell" not in words:
         assert words in TEXT
-
-
-@pytest.mark.long
-def test_a_mute_line_and_a_set_point_that_is_only_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    class Mute:
-        def receive(self, data: bytes) -> list[bytes]:
-            return []
-
-    status, said = checked(BLOCKS["modbus"], "modbus", tmp_path, capsys, Mute())
-    assert (status, "did not answer in 1 s" in said) == (3, True)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_text_units import BOARD, printed
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.description import described, shipped
 from gradcal_jax.hardware.frames import FRAMES, FrameDecoder, FramedSensor
 from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.hardware.text_unit import TextSensor
 from gradcal_jax.tables.problems import SpecError
 
 # Data set of the maker's tests: reference time, its difference, acceleration, gyro, and two more fields.
@@ -149,17 +151,21 @@ def test_lost_doubled_damaged_and_late_frames(name: str) -> None:
     assert len(pushed(decoder(name), [bytes(len(frames[0]))] * 100)) == 0
 
 
-@given(st.binary(max_size=60), st.lists(st.integers(0, 600), max_size=6))
+@pytest.mark.parametrize("kind", ["frames", "text"])
+@given(noise=st.binary(max_size=60), cuts=st.lists(st.integers(0, 600), max_size=6))
 @settings(max_examples=50, deadline=None)
-def test_samples_do_not_depend_on_how_the_stream_was_cut(noise: bytes, cuts: list[int]) -> None:
-    frames = stream(8)
-    data = noise + b"".join(frames[:4]) + noise + b"".join(frames[4:])
-    whole, unit = decoder("stim300").push(data, 0.0), decoder("stim300")
-    places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
-    parts = join([unit.push(data[begin:end], 0.0) for begin, end in itertools.pairwise(places)])
-    assert len(whole) == len(parts) == 8
-    np.testing.assert_array_equal(whole.gyro_dps, parts.gyro_dps)
-    np.testing.assert_array_equal(whole.device_time_s, parts.device_time_s)
+def test_samples_do_not_depend_on_how_the_stream_was_cut(kind: str, noise: bytes, cuts: list[int]) -> None:
+    text = kind == "text"
+    sent = [printed(k) for k in range(8)] if text else stream(8)
+    noise = noise.replace(b"$", b"?") + b"\n" if text else noise
+    data = noise + b"".join(sent[:4]) + noise + b"".join(sent[4:])
+    whole, cut = (described(TextSensor, BOARD).decoder() if text else decoder("stim300") for _ in range(2))
+    batch = whole.push(data, 0.0)
+    places = sorted({0, len(data), *(min(place, len(data)) for place in cuts)})
+    parts = join([cut.push(data[begin:end], 0.0) for begin, end in itertools.pairwise(places)])
+    assert len(batch) == len(parts) == 8
+    np.testing.assert_array_equal(batch.gyro_dps, parts.gyro_dps)
+    np.testing.assert_array_equal(batch.device_time_s, parts.device_time_s)
 
 
 def test_a_loss_is_counted_up_to_whole_rounds_of_the_counter() -> None:

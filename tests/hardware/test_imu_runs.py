@@ -25,12 +25,21 @@ from gradcal_jax.spec.absent import absent_terms
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.rig import RigFile, parse_rig
 from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.spec.spec_sections import Spec
 
 
 @pytest.fixture(scope="module")
 def ran(imu_run: Path) -> tuple[Path, Log]:
     """One cycle with two units on the table, and the log of the second."""
     return imu_run / "run", run_log.log(imu_run / "run", "unit2")
+
+
+def consistent(log: Log, spec: Spec, truth: dict[str, float], tail: float) -> tuple[float, int, float, int]:
+    """`estimated`, whose sums of squares lie between the quantiles of `tail` and 1 - `tail`."""
+    squares, degrees, nees, count = estimated(log, spec, truth)
+    assert chi2.ppf(tail, degrees) < squares < chi2.ppf(1.0 - tail, degrees)
+    assert chi2.ppf(tail, count) < nees < chi2.ppf(1.0 - tail, count)
+    return squares, degrees, nees, count
 
 
 def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins() -> None:
@@ -52,32 +61,23 @@ def test_a_rehearsal_with_one_seed_is_the_same_byte_for_byte(ran: tuple[Path, Lo
     assert first[1:] == second[1:]
 
 
-def moves_of(folder: Path) -> list[tuple[str, float, float]]:
-    """Axis, when it was told to turn, and when it stood again, on the run's clock."""
-    found: list[tuple[str, float, float]] = []
-    under_way: dict[str, float] = {}
-    for event in RunFolder(folder).contents().events:
-        if event.name == "move" and event.data["kind"] == "turn":
-            under_way[event.data["axis"]] = event.data["began_s"]
-        elif event.name == "angle" and not event.data["moving"] and event.data["axis"] in under_way:
-            found.append((event.data["axis"], under_way.pop(event.data["axis"]), event.data["time_s"]))
-    return found
-
-
 def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
-    moves = moves_of(ran[0])
-    assert " ".join(axis for axis, _, _ in moves) == "spin spin tilt tilt tilt tilt spin tilt spin tilt spin"
-    for (_, _, ended), (_, begins, _) in itertools.pairwise(moves):
-        assert begins >= ended
+    turned, under_way = list[str](), ""
+    for event in RunFolder(ran[0]).contents().events:
+        if event.name == "move" and event.data["kind"] == "turn":
+            assert not under_way
+            under_way = event.data["axis"]
+            turned.append(under_way)
+        elif event.name == "angle" and not event.data["moving"] and event.data["axis"] == under_way:
+            under_way = ""
+    assert " ".join(turned) == "spin spin tilt tilt tilt tilt spin tilt spin tilt spin"
 
 
 def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
     folder, log = ran
     hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
     spec = RunFolder(folder).recipe().spec
-    squares, degrees, nees, count = estimated(log, spec, hidden["units"]["unit2"] | hidden["installation"])
-    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
-    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+    count = consistent(log, spec, hidden["units"]["unit2"] | hidden["installation"], 1e-4)[3]
     # Of another unit it is far off: the bands can tell.
     wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
     assert wrong > chi2.ppf(1.0 - 1e-12, count)
@@ -143,9 +143,7 @@ def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path: Path, measured: bo
     assert execute.run(made(spec), run, simulate=True, seed=3).exit_status == "success"
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     log = run_log.log(run)
-    squares, degrees, nees, count = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])
-    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
-    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+    consistent(log, spec, hidden["units"]["unit1"] | hidden["installation"], 1e-4)
     counted, _, said = with_options(spec, [log], Options())
     arm = "3 mm" if measured else "3 cm"
     assert counted.sensor.gyro is not None
@@ -163,19 +161,6 @@ def one_axis_rig() -> RigFile:
 
 
 # ------------------------------------------------------------------------------------------------------- long proofs
-
-
-def in_band(value: float, degrees: int, among: int = 1) -> bool:
-    """Whether a sum of squares lies within its 99 % band, or all of so many within theirs with a chance of 99 %."""
-    tail = 0.005 / among
-    return bool(chi2.ppf(tail, degrees) < value < chi2.ppf(1.0 - tail, degrees))
-
-
-def show_in_bands(proof: str, said: tuple[float, int, float, int]) -> None:
-    squares, degrees, nees, count = said
-    assert in_band(squares, degrees), (proof, said)
-    assert in_band(nees, count), (proof, said)
-    record(proof, f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}", "test_imu_runs")
 
 
 @pytest.mark.evidence
@@ -212,25 +197,6 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     assert np.all(np.diff(log.mounting) >= 0)
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     truth = hidden["units"]["unit1"] | hidden["installation"]
-    show_in_bands("three mountings on one axis", estimated(log, recipe.spec, truth))
-
-
-@pytest.mark.evidence
-def test_a_gimbal_turned_by_hand(tmp_path: Path) -> None:
-    """The estimate of what was typed is in its band."""
-    moves = [{"rest": "15 s"}]
-    for axis, turn in (("spin", 360), ("spin", -360), ("tilt", 90), ("spin", 45), ("spin", -45), ("tilt", -90)):
-        moves += [{"turn": f"{turn} deg", "axis": axis, "duration": "10 s", "shape": "hand"}, {"rest": "15 s"}]
-    keys = {
-        "plan.gradient": "30 K/min",
-        "plan.soak": None,
-        "plan.cycle.moves": moves,
-        "rig.chamber.max_heating": "60 K/min",
-        "sensor.gyro.scale_factor.prior": "1000 ppm",
-    }
-    recipe = made(changed(parse_spec(presets.text("gimbal-by-hand")), keys))
-    run = tmp_path / "run"
-    assert execute.run(recipe, run, simulate=True, seed=2).exit_status == "success"
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    truth = hidden["units"]["unit1"] | hidden["installation"]
-    show_in_bands("a gimbal turned by hand", estimated(run_log.log(run), recipe.spec, truth))
+    squares, degrees, nees, count = consistent(log, recipe.spec, truth, 0.005)
+    said = f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}"
+    record("three mountings on one axis", said, "test_imu_runs")

@@ -12,13 +12,14 @@ import re
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, acting, at, events, in_step, running, short_recipe, short_track
+from hardware_bench import Rig, acting, at, ends_aborted, events, in_step, running, short_recipe, short_track
 from hardware_evidence import record
 from simulated_devices.faults import Faults
 from simulated_devices.wire import Wire
@@ -77,35 +78,27 @@ def left(progress: RunProgress, seconds: float) -> bool:
 # -------------------------------------------------------------------------------------------------------- temperatures
 
 
-@pytest.mark.parametrize("state", ["homing", "stabilising", "running"])
-def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
+TURN = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "turn", 10.0, 60.0, 60.0),))
+# Track, when the heater is welded on, the limit of the rig file, and the highest air.
+BEYOND = {
+    "homing": (Track((TURN,)), lambda progress: True, 60.0, 70.0),
+    "stabilising": (HOT, lambda progress: progress.step_left_s is None, 60.0, 63.0),
+    "running": (STANDS, in_step(0), 60.0, 63.0),
+    "by the chamber's own limits": (STANDS, in_step(0), math.inf, 76.0),
+}
+
+
+@pytest.mark.parametrize("state", BEYOND)
+def test_air_that_leaves_its_limits_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
+    track, when, limit_c, highest_c = BEYOND[state]
     # The other rules of temperature are off: this one holds alone.
-    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=60.0)
-    turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "turn", 10.0, 60.0, 60.0),))
-    track = {"homing": Track((turns,)), "stabilising": HOT, "running": STANDS}[state]
+    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=limit_c)
     with running(tmp_path, track, limits=limits, with_unit=False) as (rig, runner):
-        when: Any = {
-            "homing": lambda progress: True,
-            "stabilising": lambda progress: progress.step_left_s is None,
-            "running": in_step(0),
-        }
-        rig.table.homing_s = 100.0
-        rate, beyond = (60.0, 10.0) if state == "homing" else (6.0, 3.0)
-        acting(runner, (when[state], lambda: weld_on(rig, rate)), nothing_ended_it(runner))
-        result = runner.run()
-        assert result.exit_status == "aborted"
-        assert "Interlock 'temperature limit'" in result.reason
-        assert result.verified_safe
-        assert not rig.chamber.plant.conditioning
-        assert air_when_safe_c(tmp_path, rig) < 60.0 + beyond
-
-
-def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) -> None:
-    with running(tmp_path, STANDS, with_unit=False) as (rig, runner):
         rig.chamber.options.high_c = 70.0
-        acting(runner, (at(runner, 30.0), lambda: weld_on(rig, 20.0)), nothing_ended_it(runner, 7200.0))
-        assert "its limits are -53 to 73 degC" in runner.run().reason
-        assert air_when_safe_c(tmp_path, rig) < 77.0
+        rig.table.homing_s = 100.0
+        acting(runner, (when, lambda: weld_on(rig, 60.0 if state == "homing" else 6.0)), nothing_ended_it(runner))
+        ends_aborted(runner, "Interlock 'temperature limit'")
+        assert air_when_safe_c(tmp_path, rig) < highest_c
 
 
 def test_the_load_has_limits_too() -> None:
@@ -122,34 +115,28 @@ def test_a_heater_welded_on_is_no_success(tmp_path: Path, when: str) -> None:
         last = lambda progress: left(progress, 25.0)  # noqa: E731
         is_so, rate = (warm, 6.0) if when == "while it waits" else (last, 30.0)
         acting(runner, (is_so, lambda: weld_on(rig, rate)), nothing_ended_it(runner))
-        result = runner.run()
-        assert (result.exit_status, result.verified_safe) == ("aborted", True)
-        assert "Interlock 'temperature course': the air is at" in result.reason
+        ends_aborted(runner, "Interlock 'temperature course': the air is at")
         # Ten per cent of the way and the band above the goal, and half a minute.
         assert when != "while it waits" or air_when_safe_c(tmp_path, rig) < 40.0 + 1.6 + 3.0 + 3.0 + 1.0
 
 
-@pytest.mark.parametrize("fate", ["no power", "STANDBY at the panel"])
-@pytest.mark.parametrize("when", ["stabilising", "running"])
-def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(
-    tmp_path: Path, fate: str, when: str
-) -> None:
+@pytest.mark.parametrize("fate", ["no power, stabilising", "STANDBY at the panel, running"])
+def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(tmp_path: Path, fate: str) -> None:
+    waits = fate.endswith("stabilising")
     # A wide band: the temperature says nothing for long.
-    track, limits = HOT if when == "stabilising" else WARMS, InterlockLimits(temperature_band_k=30.0)
-    with running(tmp_path, track, limits=limits, with_unit=False) as (rig, runner):
+    limits = InterlockLimits(temperature_band_k=30.0)
+    with running(tmp_path, HOT if waits else WARMS, limits=limits, with_unit=False) as (rig, runner):
 
         def fail() -> None:
             rig.chamber.commands.clear()
-            rig.chamber.reboot() if fate == "no power" else rig.chamber._enter("STANDBY")
+            rig.chamber.reboot() if waits else rig.chamber._enter("STANDBY")
 
         def is_so(progress: RunProgress) -> bool:
-            waits = progress.step_left_s is None
-            return progress.chamber is not None and progress.chamber.air_c > 30.0 and waits == (when == "stabilising")
+            warm = progress.chamber is not None and progress.chamber.air_c > 30.0
+            return warm and (progress.step_left_s is None) == waits
 
         acting(runner, (is_so, fail))
-        result = runner.run()
-        assert "Interlock 'idle chamber': the chamber is off, and this run did not switch it off: mode" in result.reason
-        assert result.verified_safe
+        ends_aborted(runner, "Interlock 'idle chamber': the chamber is off, and this run did not switch it off: mode")
         assert not [command for command in rig.chamber.commands if "CONSTANT" in command]
 
 
@@ -163,33 +150,28 @@ def test_limits_of_the_rig_file_reach_the_run() -> None:
         rig_of({"format": "gradcal-rig/1", "chamber": chamber | {"never_above": "10 degC"}})
 
 
-UNSWITCHED = 'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }'
 WITHOUT = {
-    "an F4 whose plant is not switched": (
-        f'[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n{UNSWITCHED}\n',
-        "no [tell] on and off",
+    "no [tell] on and off": (
+        '[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n'
+        'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }\n'
     ),
-    "an axis in lines without off": (
+    "lacks [tell.off]": (
         '[[axis]]\nname = "a"\ndriver = "lines"\nport = "COM1"\nsafe = "unpower"\ngravity_loaded = false\n'
-        'options = { protocol = "grbl" }\n',
-        "lacks [tell.off]",
+        'options = { protocol = "grbl" }\n'
     ),
 }
 
 
-@pytest.mark.parametrize("what", WITHOUT)
-def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(what: str, tmp_path: Path, capsys) -> None:
-    text, words = WITHOUT[what]
+@pytest.mark.parametrize("words", WITHOUT)
+def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words: str, tmp_path: Path, capsys) -> None:
     rig, recipe = tmp_path / "rig.toml", tmp_path / "recipe.toml"
-    rig.write_text('format = "gradcal-rig/1"\n' + text)
+    rig.write_text('format = "gradcal-rig/1"\n' + WITHOUT[words])
+    write_toml(short_recipe(), recipe)
     # Not that nobody answers: nobody is asked.
-    assert main(["rig", "check", str(rig)]) == 2
+    assert main(["run", str(recipe), "--rig", str(rig), "-o", str(tmp_path / "run"), "--yes"]) == 2
     said = capsys.readouterr().err
     assert "this device does not support this safe state" in said
     assert words in said
-    write_toml(short_recipe(), recipe)
-    assert main(["run", str(recipe), "--rig", str(rig), "-o", str(tmp_path / "run"), "--yes"]) == 2
-    assert words in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
@@ -211,10 +193,7 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
 
         turning = lambda now: in_step(0)(now) and abs(rig.axis.state(runner.clock.now())[1]) > 100.0  # noqa: E731
         acting(runner, (turning, jam))
-        result = runner.run()
-        assert (result.exit_status, result.verified_safe) == ("aborted", True)
-        assert "axis table has been at 81.9 deg" in result.reason
-        assert "deg now: it is blocked" in result.reason
+        ends_aborted(runner, "axis table has been at 81.9 deg", "deg now: it is blocked")
     (ended,) = events(tmp_path, "ending")
     # Long before the planned end of the turn.
     assert 4.0 <= ended.time_s - jammed[0] < 7.0
@@ -259,10 +238,7 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
             return once_turning(rig, runner)(progress) if turning else early and not rig.axis.moving(runner.clock.now())
 
         acting(runner, (is_so, run_away))
-        result = runner.run()
-        assert (result.exit_status, result.verified_safe) == ("aborted", True)
-        assert "Interlock 'over-speed': axis table turns at" in result.reason
-        assert "the rig allows 300" in result.reason
+        ends_aborted(runner, "Interlock 'over-speed': axis table turns at", "the rig allows 300")
         assert rig.axis.state(runner.clock.now())[1] == 0.0
     (tripped,) = events(tmp_path, "interlock")
     assert tripped.time_s - ran[0] < 6.0
@@ -316,9 +292,11 @@ def lossy(rig: Rig) -> None:
     [
         (lambda rig, clock: clock.sleep(25.0), "late", False),
         (lambda rig, clock: lossy(rig), "samples", True),
+        (lambda rig, clock: rig.imu.reboot(), "unit1", False),
     ],
+    ids=["a host that slept", "lost samples", "a unit that restarted"],
 )
-def test_a_host_that_slept_and_samples_that_were_lost_make_the_step_again(
+def test_a_step_that_was_not_executed_as_written_is_made_again(
     tmp_path: Path, mishap: Any, why: str, last: bool
 ) -> None:
     with running(tmp_path, short_track()) as (rig, runner):
@@ -326,10 +304,13 @@ def test_a_host_that_slept_and_samples_that_were_lost_make_the_step_again(
         result = runner.run()
         assert result.exit_status == "success", result.reason
         steps = len(runner.track.steps)
-    (amiss,) = events(tmp_path, "not done")
+    amiss, *more = events(tmp_path, "not done")
     assert why in amiss.data["why"]
     assert (amiss.data["number"] == steps - 1) == last
     assert amiss.data["step"] in [event.data["step"] for event in events(tmp_path, "seam")]
+    # A unit that restarted is configured again.
+    assert why != "unit1" or len(events(tmp_path, "configuration")) == 2
+    assert why == "unit1" or not more
     was_executed(tmp_path)
 
 
@@ -346,50 +327,38 @@ def freezes(rig: Rig) -> None:
     rig.sensor.take = one
 
 
+def damaged(message: bytes) -> list[tuple[float, bytes]]:
+    return [(0.0, message[:-3] + bytes([message[-3] ^ 1]) + message[-2:])]
+
+
+def spoils(way: Any) -> Any:
+    return lambda rig, clock: setattr(rig.ports[2], "faults", way)
+
+
 @pytest.mark.parametrize(
-    ("mishap", "last", "words"),
+    ("mishap", "last", "attempts", "words"),
     [
-        (lambda rig, clock: clock.sleep(8.0), False, "late"),
-        (lambda rig, clock: freezes(rig), True, "the IMU's gyros measured"),
+        (lambda rig, clock: clock.sleep(8.0), False, 3, "late"),
+        (lambda rig, clock: freezes(rig), True, 3, "the IMU's gyros measured"),
+        (spoils(lambda message: []), True, 0, "no sample from unit1"),
+        (spoils(damaged), True, 0, "no sample from unit1"),
     ],
+    ids=["a slow host", "a frozen unit", "no bytes", "bytes and no usable sample"],
 )
-def test_what_is_never_executed_ends_the_run_with_a_sentence(tmp_path: Path, mishap: Any, last: bool, words) -> None:
+def test_what_is_never_executed_ends_the_run_with_a_sentence(
+    tmp_path: Path, mishap: Any, last: bool, attempts: int, words: str
+) -> None:
     with running(tmp_path, short_track()) as (rig, runner):
         turning = once_turning(rig, runner, last=last)
         runner.chamber_every_s = 1.0
         runner.on_progress = lambda now: mishap(rig, runner.clock) if turning(now) else None
-        result = runner.run()
-        assert (result.exit_status, result.verified_safe) == ("aborted", True)
-        assert re.match(r"In 3 attempts, step .* was not executed as the recipe states\.", result.reason)
-        assert words in result.reason
+        result = ends_aborted(runner, words)
+        said = re.match(r"In 3 attempts, step .* was not executed as the recipe states\.", result.reason)
+        assert bool(said) == bool(attempts)
         assert last or result.steps_done < len(runner.track.steps)
     numbers = [event.data["number"] for event in events(tmp_path, "not done")]
-    assert numbers == [numbers[0]] * 3
-    assert numbers[0] not in [event.data["number"] for event in events(tmp_path, "step done")]
-
-
-@pytest.mark.parametrize(
-    "spoils",
-    [lambda message: [], lambda message: [(0.0, message[:-3] + bytes([message[-3] ^ 1]) + message[-2:])]],
-    ids=["no bytes", "bytes and no usable sample"],
-)
-def test_a_unit_without_samples_in_the_last_step_ends_the_run(tmp_path: Path, spoils: Any) -> None:
-    with running(tmp_path, short_track()) as (rig, runner):
-        acting(runner, (once_turning(rig, runner, last=True), lambda: setattr(rig.ports[2], "faults", spoils)))
-        result = runner.run()
-    assert (result.exit_status, result.verified_safe) == ("aborted", True)
-    assert "no sample from unit1" in result.reason
-
-
-def test_a_unit_that_restarts_is_configured_again(tmp_path: Path) -> None:
-    with running(tmp_path, short_track()) as (rig, runner):
-        acting(runner, (in_step(2), lambda: rig.imu.reboot()))
-        result = runner.run()
-        assert result.exit_status == "success", result.reason
-    assert len(events(tmp_path, "configuration")) == 2
-    (amiss, *_) = events(tmp_path, "not done")
-    assert "unit1" in amiss.data["why"]
-    assert amiss.data["number"] in [event.data["number"] for event in events(tmp_path, "step done")]
+    assert numbers == numbers[:1] * attempts
+    assert not {*numbers} & {event.data["number"] for event in events(tmp_path, "step done")}
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
@@ -508,7 +477,7 @@ def counted(port: Wire, lost: int = -1) -> list[bytes]:
 
 @pytest.mark.evidence
 def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
-    """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep, axes that run away.
+    """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep.
 
     A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
     """
@@ -519,7 +488,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
         assert runner.run().exit_status == "success"
     sizes = dict(zip(("chamber", "table"), map(len, told), strict=True))
     mishaps = [(name, int(random.integers(size))) for name, size in sizes.items() for _ in range(8)]
-    mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)] + [("over-speed", 0)] * 2
+    mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)]
     ended: collections.Counter[tuple[str, str]] = collections.Counter()
     for number, (what, size) in enumerate(mishaps):
         folder = tmp_path / f"run{number}"
@@ -527,9 +496,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
             if what in sizes:
                 counted(rig.ports[list(sizes).index(what)], int(size))
             else:
-                sleeps = lambda runner=runner, size=size: runner.clock.sleep(size)  # noqa: E731
-                away = lambda rig=rig, runner=runner: rig.axis.spin(runner.clock.now(), 700.0, 1e5)  # noqa: E731
-                acting(runner, (once_turning(rig, runner), sleeps if what == "host" else away))
+                acting(runner, (once_turning(rig, runner), partial(runner.clock.sleep, size)))
             result = runner.run()
             assert result.verified_safe, (what, size, result)
             assert rig.axis.state(runner.clock.now())[1] == 0.0
@@ -539,13 +506,12 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
         else:
             assert result.reason, (what, size)
         ended[what, result.exit_status] += 1
-    assert ended["over-speed", "aborted"] == 2
     assert sum(count for (what, how), count in ended.items() if how == "success") > 0.5 * len(mishaps)
     said = [f"{what}: {ended[what, 'success']} done, {ended[what, 'aborted']} ended" for what, _ in dict(ended)]
     record(
         "whole runs with one mishap each",
         f"a command lost (of {', '.join(f'{size} to the {name}' for name, size in sizes.items())}), a host that sleeps "
-        f"1 to 90 s in a turn, an axis that runs away; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
+        f"1 to 90 s in a turn; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
         "done was executed as written; every other one says why, all safe, verified",
         "tests/hardware/test_mishaps.py",
     )

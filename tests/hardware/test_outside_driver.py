@@ -1,16 +1,18 @@
 """A package with drivers of its own, installed from its folder: seen wherever a rig is read."""
 
-import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hardware_bench import Rig, short_recipe
-from journal_log import log_of
+from journal_log import angles_of_rests
+from simulated_devices.line_tables import SimulatedAerosmith
 from simulated_devices.wire import Wire
+from test_text_units import board, with_board
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
@@ -19,6 +21,7 @@ from gradcal_jax.hardware.guard import make_folder_safe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.records.run_log import log as log_of_run
 from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.writing import write_toml
@@ -98,34 +101,27 @@ def test_rig_check_and_guard_know_it(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert (outcome.verified, outcome.action, device.on) == (True, "standby", False)
 
 
-def test_the_guards_own_process_knows_it(site: Path, tmp_path: Path) -> None:
-    """As it is started: it reads all that it needs before it says that it is ready."""
-    write_toml(acme_rig("COM1"), tmp_path / "rig.toml")
-    command = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
-    here = str(Path(__file__).parents[2])
-    for path, ready in ((f"{here}{os.pathsep}{site}", b"ready\n"), (here, b"")):
-        heard = subprocess.run(
-            command, input=b"", capture_output=True, env={**os.environ, "PYTHONPATH": path}, check=False
-        )
-        assert heard.stdout.replace(b"\r", b"") == ready
-
-
 @pytest.mark.usefixtures("installed")
-def test_run_and_log_know_it(tmp_path: Path) -> None:
+def test_a_run_with_it_and_with_devices_that_are_described_alone(tmp_path: Path) -> None:
     clock = VirtualClock()
     made = short_recipe(2.0, changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
-    with Rig(clock) as lab:
-        acme = SimulatedAcme(lab.chamber.plant, clock)
-        lab.ports[0].device = acme
-        chamber = {"driver": "acme", "port": lab.ports[0].url, "safe": "standby"}
-        tables = lab.rig.model_dump(mode="json", exclude_unset=True)
-        tables["imu"][0]["driver"] = "acme_unit"
-        rig = rig_of({**tables, "chamber": chamber})
+    with Rig(clock) as lab, board(lab, clock) as unit:
+        acme = lab.ports[0].device = SimulatedAcme(lab.chamber.plant, clock)
+        lab.ports[1].device = SimulatedAerosmith(lab.axis, clock)
+        tables = with_board(lab.rig, unit.url).model_dump(mode="json", exclude_unset=True)
+        tables["chamber"] = {"driver": "acme", "port": lab.ports[0].url, "safe": "standby"}
+        tables["axis"][0]["options"] = {"protocol": "aerosmith-like"}
+        rig = rig_of(tables)
         run = new_folder(tmp_path / "run", made, rig, simulated={})
         result = run_session(run, rig, clock, simulated=True)
         assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
         assert not acme.on
-    log = log_of(run.contents(), run.recipe(), run.rig())
-    assert log.provenance["driver"] == "acme_unit"
+        assert not lab.axis.moving(clock.now())
+    log = log_of_run(run.path)
+    assert log.provenance["driver"] == "text_unit"
     assert log.standstill is not None
     assert int(log.standstill.max()) == 2 * made.motion[0].repeat
+    assert np.ptp(angles_of_rests(log)) == pytest.approx(2.0 * np.pi, abs=1e-3)
+    assert np.diff(log.time_s) == pytest.approx(0.01, abs=1e-5)
+    # Its gyro turned as the table did.
+    assert np.degrees(np.sum(np.abs(log.rate_rad_per_s[0, :, 2]))) * 0.01 > 300.0

@@ -1,6 +1,5 @@
 """Recipes on rigs: what becomes of them when they are resumed, aborted, or have no business there."""
 
-import json
 import threading
 from pathlib import Path
 
@@ -12,19 +11,14 @@ from simulated_devices.faults import Faults
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware.clock import VirtualClock
-from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import (
-    RunFolder,
-    RunFolderError,
     new_folder,
-    prepare_resume,
 )
-from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
+from gradcal_jax.hardware.runner import Runner, RunResult
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.information import segments_of
 from gradcal_jax.model.build import build_imu
-from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.recipe.tracks import tracks_of
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -148,51 +142,6 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
     assert poor.bias_dps == pytest.approx(3.0 * 2.0 * 3.0**0.5)
     forces = parse_spec(presets.text("accelerometer-six-positions"))
     assert track_of(unpredicted(forces), [axis.name for axis in forces.rig.table.axis]).gyros is None
-
-
-# --------------------------------------------------------------------------------------------- ended, and gone on with
-
-
-def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, begins_s: float = 0.0) -> RunResult:
-    """A session on a fresh simulated laboratory; it is asked to stop in the middle of a step."""
-    clock = VirtualClock(begins_s)
-    made = read_recipe(folder.path / "recipe.toml")
-    first = prepare_resume(folder) if folder.journal_path.exists() else 0
-    runners: list[Runner] = []
-
-    def look(progress: RunProgress) -> None:
-        left = progress.step_left_s
-        if progress.steps_done == stop_at_step and left is not None and left < 8.0:
-            runners[0].abort("enough")
-
-    with SimulatedLab(made.spec, clock, seed=seed) as lab:
-        return run_session(
-            folder, lab.rig, clock, first_step=first, simulated=True, on_progress=look, with_runner=runners.append
-        )
-
-
-def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_path: Path) -> None:
-    made = short_recipe()
-    with SimulatedLab(made.spec, VirtualClock()) as lab:
-        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        with pytest.raises(RunFolderError, match="name a new folder"):
-            new_folder(tmp_path / "run", made, lab.rig)
-    assert executed(folder, 4, stop_at_step=1).reason == "enough"
-    with pytest.raises(RunFolderError, match="gradcal run --resume"):
-        new_folder(tmp_path / "run", made, folder.rig())
-    clock = VirtualClock(1e4)
-    with SimulatedLab(made.spec, clock) as lab:
-        line = lab.table._line
-        lab.table._line = lambda text: [b"[VER:1.1f.20170801:]\r\n", b"ok\r\n"] if text == "$I" else line(text)
-        with pytest.raises(HardwareError, match=r"x at .* 1\.1f\..*the run began with .*1\.1h\."):
-            run_session(folder, lab.rig, clock, first_step=1, simulated=True)
-    notes = json.loads((folder.path / "run.json").read_text())
-    (folder.path / "run.json").write_text(json.dumps(notes | {"version": "0.0.1"}))
-    with pytest.raises(RunFolderError, match=r"begun by gradcal 0\.0\.1"):
-        prepare_resume(folder)
-    (folder.path / "run.json").write_text(json.dumps(notes | {"recipe": "other"}))
-    with pytest.raises(RunFolderError, match="not the one that the run in"):
-        prepare_resume(folder)
 
 
 # ----------------------------------------------------------------------------------------------- guarded, and aborted

@@ -85,22 +85,13 @@ def test_a_chamber_from_its_description_alone() -> None:
             chamber.read()
 
 
-def test_without_a_command_for_off_there_is_no_standby() -> None:
-    tables = changed() | {"tell": {"setpoint": {"setpoint": "{setpoint}"}}, "state": {}}
-    clock, config = VirtualClock(), RegistersConfig(protocol=tables, reply_timeout="0.2 s")
-    with served(Slave(), clock, 9600) as (_, transport):
-        chamber = config.device(config.link(transport, clock), clock)
-        chamber.hold(30.0)
-        assert chamber.safe("hold").verified
-        with pytest.raises(Rejected, match=r"no \[tell\] off"):
-            chamber.safe("standby")
-
-
 @pytest.mark.parametrize("low_first", [False, True])
 @pytest.mark.parametrize("kind", ["float32", "int32"])
 def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
+    # Of a chamber that its set point alone commands: neither on nor off.
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
+    tables |= {"tell": {"setpoint": {"setpoint": "{setpoint}"}}, "state": {}}
     clock, device = VirtualClock(), Slave({40: 0, 41: 0})
     config = RegistersConfig(protocol=tables, reply_timeout="0.2 s")
     with served(device, clock, 9600) as (_, transport):
@@ -109,6 +100,9 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
         words = struct.unpack(">HH", struct.pack(">f", -12.25) if kind == "float32" else struct.pack(">i", -1225))
         assert (device.words[40], device.words[41]) == (words[::-1] if low_first else words)
         assert chamber.read().setpoint_c == -12.25
+        assert chamber.safe("hold").verified
+        with pytest.raises(Rejected, match=r"no \[tell\] off"):
+            chamber.safe("standby")
 
 
 @pytest.mark.parametrize(

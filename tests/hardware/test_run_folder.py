@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from hardware_bench import short_recipe
 
+from gradcal_jax import __version__
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import resume, run
+from gradcal_jax.hardware.roles import Identity
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, new_folder, prepare_resume
+from gradcal_jax.hardware.simulate.lab import SimulatedAxis
 from gradcal_jax.records.run_log import log
 from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig
 from gradcal_jax.tables.writing import write_toml
@@ -44,22 +47,52 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_does_not_go_on_with_another_rig(ended: Path) -> None:
-    folder, text = RunFolder(ended), (ended / "rig.toml").read_text()
+def test_another_run_has_another_folder(ended: Path) -> None:
+    folder = RunFolder(ended)
     assert prepare_resume(folder) > 0
     with pytest.raises(RunFolderError, match="gradcal run --resume"):
         new_folder(ended, folder.recipe(), folder.rig())
-    changed = text.replace('"125 Hz"', '"250 Hz"').replace('safe = "standby"', 'safe = "hold"')
-    assert changed != text
+    (ended / "journal").rename(ended / "elsewhere")
+    with pytest.raises(RunFolderError, match="name a new folder"):
+        new_folder(ended, folder.recipe(), folder.rig())
+    (ended / "elsewhere").rename(ended / "journal")
+
+
+@pytest.mark.parametrize(
+    ("file", "changes", "said"),
+    [
+        (
+            "rig.toml",
+            {'"125 Hz"': '"250 Hz"', 'safe = "standby"': 'safe = "hold"'},
+            [
+                "chamber.safe is 'hold' and was 'standby'",
+                "imu[0].options.changes.rate is '250 Hz' and was '125 Hz'",
+            ],
+        ),
+        ("run.json", {f'"version": "{__version__}"': '"version": "0.0.1"'}, ["begun by gradcal 0.0.1"]),
+        ("recipe.toml", {'"a test"': '"another"'}, ["not the one that the run in"]),
+    ],
+)
+def test_a_run_does_not_go_on_as_another(ended: Path, file: str, changes: dict[str, str], said: list[str]) -> None:
+    text = (ended / file).read_text()
+    changed = text
+    for old, new in changes.items():
+        changed = changed.replace(old, new)
+        assert new in changed
     try:
-        (ended / "rig.toml").write_text(changed)
+        (ended / file).write_text(changed)
         with pytest.raises(RunFolderError) as caught:
             resume(ended)
-        said = str(caught.value)
-        assert "chamber.safe is 'hold' and was 'standby'" in said
-        assert "imu[0].options.changes.rate is '250 Hz' and was '125 Hz'" in said
     finally:
-        (ended / "rig.toml").write_text(text)
+        (ended / file).write_text(text)
+    for words in said:
+        assert words in str(caught.value)
+
+
+def test_a_run_does_not_go_on_with_another_device(ended: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SimulatedAxis, "identify", lambda self: Identity("simulated", "another axis"))
+    with pytest.raises(HardwareError, match=r"x at .* another axis.*the run began with"):
+        resume(ended)
 
 
 def test_a_log_is_decoded_as_the_run_was_configured(ended: Path) -> None:

@@ -3,6 +3,8 @@
 import dataclasses
 import os
 import signal
+import socket
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +12,33 @@ import numpy as np
 import pytest
 from hardware_bench import (
     EARTH_RATE_DPS,
+    Rig,
     acting,
     chunks_of,
+    ends_aborted,
     events,
-    fit_clock,
     in_step,
     perfect,
     running,
+    short_recipe,
+    short_track,
 )
-from simulated_devices.faults import Faults
+from simulated_devices.faults import Faults, Spoils
 
+from gradcal_jax.cli import main
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run_of
+from gradcal_jax.hardware.errors import Disconnected
 from gradcal_jax.hardware.execute import signals_to
-from gradcal_jax.hardware.journal import Event, read_journal
+from gradcal_jax.hardware.guard import make_safe
+from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, join
 from gradcal_jax.hardware.runner import RunProgress
+from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
+from gradcal_jax.records.clockmap import fit_arrivals, last_of_chunks
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.writing import write_toml
 
 TURN = AxisCommand(2.0, "table", "turn", 360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "turn", -360.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -54,25 +67,24 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
     assert contents.damaged_bytes == 0
     assert states(tmp_path) == ["running", "stopping", "safe"]
     assert contents.events[-1].data["exit_status"] == "success"
-    by_name: dict[str, list[Event]] = {}
-    for event in contents.events:
-        by_name.setdefault(event.name, []).append(event)
-    assert [event.data["device"] for event in by_name["identity"]] == ["table", "chamber", "unit1"]
+    assert [event.data["device"] for event in events(tmp_path, "identity")] == ["table", "chamber", "unit1"]
     # The moves began when the track says, after the temperature had become stable.
-    ramp = next(event for event in by_name["step begins"] if event.data["step"] == "ramp")
+    _, ramp = events(tmp_path, "step begins")
+    moves = [event.time_s - ramp.time_s for event in events(tmp_path, "move")]
+    assert moves == pytest.approx([2.0, 12.0, 20.0, 26.0], abs=0.6)
+    assert events(tmp_path, "stable")[0].data["waited_s"] > 15.0
+    assert 25.1 < max(event.data["air_c"] for event in events(tmp_path, "chamber")) < 26.0
     # A step counts as done only when a burst that was being fetched as it ended is in the journal, too.
-    assert [event.data["number"] for event in by_name["step done"]] == [0, 1]
-    assert by_name["step done"][0].time_s >= by_name["step"][1].time_s + 0.1 + 0.2
-    assert [event.time_s - ramp.time_s for event in by_name["move"]] == pytest.approx([2.0, 12.0, 20.0, 26.0], abs=0.6)
-    assert by_name["stable"][0].data["waited_s"] > 15.0
-    assert 25.1 < max(event.data["air_c"] for event in by_name["chamber"]) < 26.0
+    done = events(tmp_path, "step done")
+    assert [event.data["number"] for event in done] == [0, 1]
+    assert done[0].time_s >= events(tmp_path, "step")[1].time_s + 0.1 + 0.2
     # What the unit measured between two standstills is the angle between the encoder's readings, but for its error.
     samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, "unit1")])
     assert np.all(samples.gap_before[1:] == 0)
-    clock_map = fit_clock(samples.device_time_s, samples.host_time_s)
-    assert clock_map.rate_error == pytest.approx(-80e-6, abs=3e-5)
-    host = clock_map.host_time_s(samples.device_time_s)
-    standing = [event for event in by_name["angle"] if not event.data["moving"]]
+    clock = fit_arrivals(*last_of_chunks(samples.device_time_s, samples.host_time_s))
+    assert clock.rate - 1.0 == pytest.approx(-80e-6, abs=3e-5)
+    host = clock.offset_s + clock.rate * samples.device_time_s
+    standing = [event for event in events(tmp_path, "angle") if not event.data["moving"]]
     start = [event for event in standing if event.time_s < ramp.time_s + 2.0][-1]
     end = next(event for event in standing if event.data["position_deg"] > 359.0)
     # The sample in which the axis comes to stand ends up to a period later.
@@ -129,18 +141,6 @@ def test_impossible_tracks_are_refused(step: TrackStep, words: str) -> None:
 # ---------------------------------------------------------------------------------------------------------------- ends
 
 
-def test_an_abort_ends_safe(tmp_path: Path) -> None:
-    with running(tmp_path, TRACK) as (rig, runner):
-        acting(runner, (in_step(1), lambda: runner.abort("the operator said so")), every_s=5.0)
-        result = runner.run()
-        assert (result.exit_status, result.reason) == ("aborted", "the operator said so")
-        assert result.verified_safe
-        assert rig.axis.state(runner.clock.now())[1] == 0.0
-        assert rig.chamber.mode == "STANDBY"
-    assert states(tmp_path) == ["running", "aborting", "safe"]
-    assert read_journal(tmp_path / "journal").events[-1].data["verified_safe"] is True
-
-
 @pytest.mark.parametrize(
     ("harm", "words", "unsafe"),
     [
@@ -162,6 +162,8 @@ def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
         assert result.exit_status == "aborted"
         assert words in result.reason
         assert {outcome.name for outcome in result.outcomes if not outcome.verified} == unsafe
+        # A device that never answers keeps nobody else waiting.
+        assert max(outcome.took_s for outcome in result.outcomes if outcome.verified) < 5.0
         assert rig.axis.state(runner.clock.now())[1] == 0.0
     assert read_journal(tmp_path / "journal").events[-1].name == "end"
 
@@ -169,9 +171,7 @@ def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
 def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
     track = Track((TrackStep("soak", 10.0, 120.0, Stable(0.2, 60.0, 300.0)),))
     with running(tmp_path, track, with_unit=False) as (_, runner):
-        result = runner.run()
-    assert (result.exit_status, result.verified_safe) == ("aborted", True)
-    assert "not stable within 0.2 K of 120 degC after 300 s" in result.reason
+        ends_aborted(runner, "not stable within 0.2 K of 120 degC after 300 s")
 
 
 @pytest.mark.parametrize(("sent", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
@@ -180,6 +180,8 @@ def test_signals_end_a_run_safely(tmp_path: Path, sent: signal.Signals, reason: 
         acting(runner, (in_step(0), lambda: os.kill(os.getpid(), sent)), every_s=5.0)
         result = runner.run()
         assert (result.exit_status, result.reason, result.verified_safe) == ("aborted", reason, True)
+    assert states(tmp_path) == ["running", "aborting", "safe"]
+    assert read_journal(tmp_path / "journal").events[-1].data["verified_safe"] is True
 
 
 @pytest.mark.parametrize(("begins", "ends"), [("Alarm", "success"), ("Idle", "aborted")])
@@ -218,3 +220,70 @@ def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> No
         assert runner.run().verified_safe
         runner.clock.sleep(30.0)
         assert rig.chamber.mode == "STANDBY"
+
+
+# -------------------------------------------------------------------------------------------------- what a check says
+
+
+def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same() -> None:
+    """A socket that accepts and says nothing, in the place of a chamber whose limits stand in its description."""
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        options = {"protocol": "cts", "reply_timeout": "0.1 s"}
+        url = f"socket://127.0.0.1:{mute.getsockname()[1]}"
+        chamber = {"driver": "lines", "port": url, "safe": "standby", "options": options}
+        (report,) = check_each(rig_of({"format": "gradcal-rig/1", "chamber": chamber}), RealClock())
+    assert "did not answer" in report.problem
+
+
+# ---------------------------------------------------------------------------------------------------------- messages
+
+
+def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Rig(RealClock()) as rig:
+        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
+        tables["axis"][0]["serial_number"] = "another one"
+        write_toml(rig_of(tables), tmp_path / "rig.toml")
+        write_toml(short_recipe(), tmp_path / "recipe.toml")
+        words = ["run", str(tmp_path / "recipe.toml"), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "r")]
+        assert main([*words, "--yes"]) == 3
+    said = capsys.readouterr().err
+    assert "the run did not begin, and no command was sent: table at" in said
+    assert "sound" not in said
+
+
+def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
+    clock = RealClock()
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
+        bench.axes["table"].home()
+        bench.axes["table"].spin(60.0, 300.0)
+        rig.ports[1].unplug()
+        with pytest.raises(Disconnected):
+            bench.axes["table"].read()
+        again = threading.Timer(1.0, rig.ports[1].replug)
+        again.start()
+        outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=8.0)}
+        again.join()
+        assert outcomes["table"].verified, outcomes["table"].evidence
+        assert rig.axis.state(clock.now())[1] == 0.0
+
+
+# ------------------------------------------------------------------------------------------------------ late answers
+
+
+def late(delay_s: float, begins: bytes = b"") -> Spoils:
+    """Messages that begin so come so many seconds after they were sent."""
+    return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
+
+
+def test_late_replies_are_said(tmp_path: Path) -> None:
+    seen: list[str] = []
+    with running(tmp_path, short_track()) as (rig, runner):
+        rig.ports[0].faults = late(3.4)
+        acting(runner, (lambda progress: bool(progress.remarks), lambda: runner.abort("enough")))
+        look = runner.on_progress
+        runner.on_progress = lambda progress: (seen.extend(progress.remarks), look(progress))
+        runner.run()
+    assert "ESPEC at" in seen[0]
+    assert "late: raise reply_timeout" in seen[0]
+    (event,) = events(tmp_path, "late reply")
+    assert event.data["device"] == "chamber"

@@ -36,36 +36,24 @@ def test_they_have_the_sizes_that_the_spec_states():
     spec = gj.changed(SPEC, STATED)
     sensors = [draw_truth(spec, seed, 1) for seed in range(SEEDS)]
     tables = [draw_table(spec, seed)[:2] for seed in range(SEEDS)]
-    assert np.std([s.thermometer_offset for s in sensors]) == pytest.approx(2.0, rel=0.15)
     assert all(s.names["temperature_offset"] == s.thermometer_offset for s in sensors)
-    late = np.array([s.die_lag_s for s in sensors])
-    assert late.min() >= 0.0
-    assert np.sqrt(np.mean(late**2)) == pytest.approx(40.0, rel=0.15)
     (encoders,) = zip(*(axes for _, axes in tables), strict=True)
-    assert np.std([e.scale_error for e in encoders]) == pytest.approx(1e-4, rel=0.15)
-    lash = np.array([e.backlash_deg for e in encoders])
-    assert lash.min() >= 0.0
-    assert np.sqrt(np.mean(lash**2)) == pytest.approx(0.02, rel=0.15)
     hung = SPEC.rig.table.mounting[0]
     along = spec.rig.table.axis[0].unit_vector.index(1.0), "xyz".index(hung.z[1])
-    tilts = [np.arccos(abs(table.mountings[0]).max(axis=0)[along[1]]) for table, _ in tables]
-    # Of two angles, each of one degree.
-    assert np.sqrt(np.mean(np.square(tilts))) == pytest.approx(np.radians(2.0**0.5), rel=0.15)
+    for values, size in (
+        ([s.thermometer_offset for s in sensors], 2.0),
+        ([s.die_lag_s for s in sensors], 40.0),
+        ([e.scale_error for e in encoders], 1e-4),
+        ([e.backlash_deg for e in encoders], 0.02),
+        # Of two angles, each of one degree.
+        ([np.arccos(abs(table.mountings[0]).max(axis=0)[along[1]]) for table, _ in tables], np.radians(2.0**0.5)),
+    ):
+        assert np.sqrt(np.mean(np.square(values))) == pytest.approx(size, rel=0.15)
+    assert min(s.die_lag_s for s in sensors) >= 0.0
+    assert min(e.backlash_deg for e in encoders) >= 0.0
     # The Earth's rate along the axis is rectangular.
     share = np.sin([table.latitude for table, _ in tables])
     assert np.std(share) == pytest.approx(3.0**-0.5, rel=0.1)
-
-
-def test_what_a_spec_does_not_state_they_do_not_have():
-    sensor, (table, axes, _) = draw_truth(SPEC, 5, 1), draw_table(SPEC, 5)
-    assert (sensor.thermometer_offset, sensor.die_lag_s) == (0.0, 0.0)
-    assert (axes[0].scale_error, axes[0].backlash_deg) == (0.0, 0.0)
-    assert "temperature_offset" not in sensor.names
-    assert np.array_equal(np.abs(table.mountings[0]), np.round(np.abs(table.mountings[0])))
-    # Other draws are the same.
-    stated = gj.changed(SPEC, STATED)
-    other = draw_truth(stated, 5, 1).names
-    assert {name: other[name] for name in sensor.names} == sensor.names
 
 
 def test_dies_follow_a_thermometer_that_is_off():

@@ -2,29 +2,20 @@
 
 import itertools
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, sensor_on_table, short_recipe
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from journal_log import angles_of_rests
-from simulated_devices.line_chambers import SimulatedCts
-from simulated_devices.line_tables import SimulatedAerosmith
-from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
+from hardware_bench import Rig, sensor_on_table
+from simulated_devices.text_unit import SimulatedTextUnit
 from simulated_devices.wire import Wire
 
 from gradcal_jax.hardware.checksums import xor8
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.description import described
-from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ImuDecoder, join
-from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import check_each
 from gradcal_jax.hardware.text_unit import TextSensor
-from gradcal_jax.records.run_log import log as log_of_run
 from gradcal_jax.spec.rig import RigFile, rig_of
 from gradcal_jax.tables.problems import SpecError
 
@@ -85,17 +76,6 @@ def test_a_time_that_wraps_goes_on_and_one_that_goes_back_is_a_restart() -> None
     assert again.gap_before.tolist() == [0, 0]
 
 
-@given(st.binary(max_size=30), st.lists(st.integers(0, 400), max_size=6))
-@settings(max_examples=50, deadline=None)
-def test_samples_do_not_depend_on_how_the_stream_was_cut(noise: bytes, cuts: list[int]) -> None:
-    data = noise.replace(b"$", b"?") + b"\n" + b"".join(printed(k) for k in range(6))
-    whole, unit = decoder(BOARD).push(data, 0.0), decoder(BOARD)
-    places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
-    parts = join([unit.push(data[begin:end], 0.0) for begin, end in itertools.pairwise(places)])
-    assert len(whole) == len(parts) == 6
-    np.testing.assert_array_equal(whole.device_time_s, parts.device_time_s)
-
-
 def test_no_bit_of_a_line_may_be_wrong_where_it_has_a_check_sum() -> None:
     line = printed(7)
     for place, bit in itertools.product(range(len(line) - 2), range(8)):
@@ -142,32 +122,7 @@ def with_board(rig: RigFile, url: str, **change: Any) -> RigFile:
 
 def board(rig: Rig, clock: Any, **options: Any) -> Wire:
     sensor = sensor_on_table(clock, sample_rate_hz=100.0, axis=rig.axis, chamber=rig.chamber.plant)
-    return Wire(SimulatedTextUnit(sensor, clock, TextUnitOptions(**options)), clock)
-
-
-def test_a_run_on_devices_that_are_described_alone(tmp_path: Path) -> None:
-    clock = VirtualClock()
-    with Rig(clock) as lab, board(lab, clock) as unit:
-        air, axis = SimulatedCts(lab.chamber.plant, clock), SimulatedAerosmith(lab.axis, clock)
-        with Wire(air, clock) as at_chamber, Wire(axis, clock) as at_table:
-            entries = with_board(lab.rig, unit.url).model_dump(mode="json", exclude_unset=True)
-            entries["chamber"] |= {"port": at_chamber.url, "options": {"protocol": "cts"}}
-            entries["axis"][0] |= {"port": at_table.url, "options": {"protocol": "aerosmith-like"}}
-            rig = rig_of(entries)
-            made = short_recipe(2.0, changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
-            run = new_folder(tmp_path / "run", made, rig, simulated={})
-            result = run_session(run, rig, clock, simulated=True)
-            assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-            assert not lab.chamber.plant.conditioning
-            assert not lab.axis.moving(clock.now())
-    log = log_of_run(run.path)
-    assert log.provenance["driver"] == "text_unit"
-    assert log.standstill is not None
-    assert int(log.standstill.max()) == 2 * made.motion[0].repeat
-    assert np.ptp(angles_of_rests(log)) == pytest.approx(2.0 * np.pi, abs=1e-3)
-    assert np.diff(log.time_s) == pytest.approx(0.01, abs=1e-5)
-    # Its gyro turned as the table did.
-    assert np.degrees(np.sum(np.abs(log.rate_rad_per_s[0, :, 2]))) * 0.01 > 300.0
+    return Wire(SimulatedTextUnit(sensor, clock, **options), clock)
 
 
 def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_what_it_prints_is_shown() -> None:

@@ -14,10 +14,8 @@ from gradcal_jax.hardware.simulate.plants import ChamberPlant
 @dataclass
 class EspecOptions:
     address: int | None = None
-    knows_detail: bool = True
-    decimals: int = 1
-    blanks: bool = False
-    """After commas of a reply."""
+    old: bool = False
+    """Without MODE?,DETAIL; with whole degrees, and blanks after commas."""
     high_c: float = 140.0
     low_c: float = -50.0
 
@@ -60,19 +58,19 @@ class SimulatedEspec:
         self.commands.append(text)
         if "?" in text:
             reply = self._answer(text)
-            return reply.replace(",", ", ") if options.blanks else reply
+            return reply.replace(",", ", ") if options.old else reply
         refusal = self._command(text)
         return f"NA:{refusal}" if refusal else f"OK:{text}"
 
     def _answer(self, text: str) -> str:
-        now, places = self._clock.now(), self.options.decimals
+        now, places = self._clock.now(), 0 if self.options.old else 1
         set_point = self.plant.set_point_c(now) if self.mode == "RUN" else self.constant_c
         temperatures = (self.plant.air_c(now), set_point, self.options.high_c, self.options.low_c)
         answers = {
             "ROM?": "P3S1.10",
             "TYPE?": "T,P300,140.0",
             "MODE?": self.mode,
-            "MODE?,DETAIL": self.mode if self.options.knows_detail else "NA:PARA ERR",
+            "MODE?,DETAIL": "NA:PARA ERR" if self.options.old else self.mode,
             "TEMP?": ",".join(f"{value:.{places}f}" for value in temperatures),
             "ALARM?": ",".join(map(str, [len(self.alarms), *self.alarms])),
         }

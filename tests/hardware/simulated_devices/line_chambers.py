@@ -19,7 +19,6 @@ class SimulatedCts:
     def __init__(self, plant: ChamberPlant, clock: Clock, address: int = 129) -> None:
         self.plant, self._clock, self._address = plant, clock, address
         self._buffer, self.running = b"", False
-        self.error = False
         self.up = self.down = self._FREE
         self.target_c = plant.truth.ambient_c
         self.limits_c = (-40.0, 180.0)
@@ -35,10 +34,6 @@ class SimulatedCts:
     def _run(self, on: bool) -> None:
         self.running = on
         self.plant.switch(self._clock.now(), on)
-
-    def raise_alarm(self) -> None:
-        self.error = True
-        self._run(False)
 
     def _framed(self, text: str) -> bytes:
         body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
@@ -60,7 +55,7 @@ class SimulatedCts:
             on = int(min(self.up, self.down) < self._FREE)
             return f"R1 {on}{on * int(self.running)} {self.up:07.2f} {self.down:07.2f} {self.target_c:07.2f}"
         if text == "S":
-            return f"S{int(self.running)}{int(self.error)}100000{'1' if self.error else '0'}"
+            return f"S{int(self.running)}01000000"
         if (match := re.fullmatch(r"a0 (-?\d+\.\d)", text)) is not None:
             low, high = self.limits_c
             if low <= float(match[1]) <= high:
@@ -68,13 +63,10 @@ class SimulatedCts:
                 self._regulate(now)
             return "a"
         if (match := re.fullmatch(r"([ud])1 (\d{3}\.\d)", text)) is not None:
-            if match[1] == "u":
-                self.up = float(match[2])
-            else:
-                self.down = float(match[2])
+            setattr(self, "up" if match[1] == "u" else "down", float(match[2]))
             return match[1]
         if (match := re.fullmatch(r"s1 ([01])", text)) is not None:
-            self._run(match[1] == "1" and not self.error)
+            self._run(match[1] == "1")
             return "s1"
         return ""
 

@@ -126,56 +126,42 @@ class SimulatedGrbl:
             return []
         self._now()
         self.lines.append(text)
+        idle = self._state in ("Idle", "Alarm")
         if text == "$$":
             shown = [f"${number}={value:.3f}\r\n".encode() for number, value in sorted(self.settings.items())]
-            return [*shown, b"ok\r\n"] if self._state in ("Idle", "Alarm") else [b"error:8\r\n"]
+            return [*shown, b"ok\r\n"] if idle else [b"error:8\r\n"]
         if text == "$I":
             return [b"[VER:1.1h.20190830:]\r\n", b"[OPT:V,15,128]\r\n", b"ok\r\n"]
-        if text == "$H":
-            if not self.settings[22]:
-                return [b"error:5\r\n"]
-            if self._state not in ("Idle", "Alarm"):
-                return [b"error:8\r\n"]
+        if text == "$H" and idle and self.settings[22]:
             self._state, self._homed_s = "Home", self._clock.now() + self.homing_s
             return []
         if text == "$X":
             self._state = "Idle" if self._state == "Alarm" else self._state
             return [b"[MSG:Caution: Unlocked]\r\n", b"ok\r\n"]
-        if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", text)) is not None:
+        if (match := re.fullmatch(r"\$(\d+)=(\d+(?:\.\d+)?)", text)) is not None:
             return [self._set(int(match[1]), float(match[2]))]
         if text.startswith("$J="):
             return [self._jog_line(text[3:])]
-        if text.startswith("$"):
-            return [b"error:3\r\n"]
-        return [b"ok\r\n" if not text else b"error:9\r\n" if self._state != "Idle" else b"error:20\r\n"]
+        return [b"error:3\r\n" if text else b"ok\r\n"]
 
     def _set(self, number: int, value: float) -> bytes:
         if self._state not in ("Idle", "Alarm"):
             return b"error:8\r\n"
-        if number not in self.settings or value < 0.0:
-            return b"error:3\r\n" if value >= 0.0 else b"error:4\r\n"
+        if number not in self.settings:
+            return b"error:3\r\n"
         self.settings[number] = value
         return b"ok\r\n"
 
     def _jog_line(self, block: str) -> bytes:
-        words = re.findall(r"([A-Z])(-?\d+(?:\.\d+)?)", block)
-        if "".join(letter + number for letter, number in words) != block.replace(" ", ""):
+        if (words := re.fullmatch(r"(G90|G91) G21(?: G53)? X(-?\d+(?:\.\d+)?) F(\d+(?:\.\d+)?)", block)) is None:
             return b"error:2\r\n"
         if self._state not in ("Idle", "Jog"):
             return b"error:9\r\n"
-        codes = {float(number) for letter, number in words if letter == "G"}
-        values = {letter: float(number) for letter, number in words if letter != "G"}
-        if not codes <= {20.0, 21.0, 53.0, 90.0, 91.0} or set(values) - {"X", "F"}:
-            return b"error:16\r\n"
-        if "F" not in values or values["F"] <= 0.0:
-            return b"error:22\r\n"
-        if "X" not in values:
-            return b"error:26\r\n"
         begins = self._jogs[-1][0] if self._jogs else self._incremental_deg
         if self._state == "Idle":
             begins = self._counted(self._clock.now())
-        goal = values["X"] + (begins if 91.0 in codes else 0.0)
-        rate = min(values["F"], self.settings[110]) / 60.0
+        goal = float(words[2]) + (begins if words[1] == "G91" else 0.0)
+        rate = min(float(words[3]), self.settings[110]) / 60.0
         if self._state == "Jog":
             self._jogs.append((goal, rate))
         else:

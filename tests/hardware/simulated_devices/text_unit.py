@@ -1,27 +1,22 @@
 """A board that prints `$IMU,gx,gy,gz,ax,ay,az,T,us*HH`: what a hundred sketches for a microcontroller do."""
 
-from dataclasses import dataclass
+import operator
+from functools import reduce
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.imu import SampledSensor
 
 
-@dataclass
-class TextUnitOptions:
-    every: int = 10
-    """Samples that it prints at once."""
-    boot_s: float = 0.0
-    banner: bytes = b"MPU-6050 ready\r\n"
-
-
 class SimulatedTextUnit:
-    def __init__(self, sensor: SampledSensor, clock: Clock, options: TextUnitOptions | None = None) -> None:
-        self.sensor, self.options, self._clock = sensor, options or TextUnitOptions(), clock
+    """Silent for `boot_s` (s) from power on; then a greeting, and ten samples at once."""
+
+    def __init__(self, sensor: SampledSensor, clock: Clock, boot_s: float = 0.0) -> None:
+        self.sensor, self._clock, self._boot_s = sensor, clock, boot_s
         self.reboot()
 
     def reboot(self) -> None:
-        self._speaks_s = self._clock.now() + self.options.boot_s
-        self._banner = self.options.banner
+        self._speaks_s = self._clock.now() + self._boot_s
+        self._banner = b"MPU-6050 ready\r\n"
         self.sensor.restart(self._speaks_s, round(1.0 / self.sensor.true_period_s))
 
     def receive(self, data: bytes) -> list[bytes]:
@@ -29,7 +24,7 @@ class SimulatedTextUnit:
         return []
 
     def next_emission_s(self) -> float | None:
-        return self.sensor.next_time_s(self.options.every)
+        return self.sensor.next_time_s(10)
 
     def emit(self, now_s: float) -> list[bytes]:
         count = self.sensor.due(now_s)
@@ -40,8 +35,6 @@ class SimulatedTextUnit:
             stamp = round((first + k + 1) * 1e6 * round(self.sensor.true_period_s, 4)) % 2**32
             numbers = [*(f"{value:.4f}" for value in (*rate, *force)), f"{samples.temperature_c[k]:.2f}", str(stamp)]
             text = ",".join(["IMU", *numbers])
-            check = 0
-            for letter in text.encode():
-                check ^= letter
+            check = reduce(operator.xor, text.encode())
             lines.append(f"${text}*{check:02X}\r\n".encode())
         return lines

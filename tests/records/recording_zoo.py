@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow
+import pyarrow.parquet
+from scipy.io import savemat
 
 N = 0.3  # deg/sqrt(h)
 ROWS, HZ = 12_000, 100.0
@@ -56,14 +59,12 @@ def stamped(name: str, time: np.ndarray, columns: str = MAP, asks: str | None = 
     ZOO[name] = lambda folder: Recorded(table(folder, time, noise(len(time), hz), **fmt), columns, asks)
 
 
-def valued(name: str, change: Callable[[np.ndarray], np.ndarray], asks: str | None = None, **fmt: str):
+W = noise()
+
+
+def valued(name: str, rate: np.ndarray, asks: str | None = None):
     """A kind of values, of stamps that are sound."""
-
-    def write(folder: Path) -> Recorded:
-        rate = change(noise())
-        return Recorded(table(folder, K[: len(rate)] / HZ, rate, **fmt), MAP, asks)
-
-    ZOO[name] = write
+    ZOO[name] = lambda folder: Recorded(table(folder, K[: len(rate)] / HZ, rate), MAP, asks)
 
 
 def in_unit(unit: str) -> str:
@@ -116,19 +117,20 @@ stamped("a step of the network's time", K / HZ + (K > 7000) * 1.0)
 stamped("a step back of the network's time", K / HZ - (K > 7000) * 1.0, asks="steps back")
 
 
-def lost(name: str, kept: np.ndarray):
-    ZOO[name] = lambda folder: Recorded(table(folder, K[kept] / HZ, noise()[kept]), MAP)
+def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.ndarray | float = 0.0):
+    """Sound rows in another order, or some of them."""
+    ZOO[name] = lambda folder: Recorded(table(folder, (K / HZ + later)[order], W[order]), MAP, asks)
 
 
-lost("a twentieth lost", rng.random(ROWS) > 0.05)
-lost("a fifth lost", rng.random(ROWS) > 0.2)
-lost("one long gap", (K < 5000) | (K > 6000))
-lost("every hundredth lost", K % 100 != 0)
+shuffled("a twentieth lost", rng.random(ROWS) > 0.05)
+shuffled("a fifth lost", rng.random(ROWS) > 0.2)
+shuffled("one long gap", (K < 5000) | (K > 6000))
+shuffled("every hundredth lost", K % 100 != 0)
 
 
 @kind
 def rows_that_changed(folder: Path) -> Recorded:
-    rate = np.rint(noise() / 0.05) * 0.05
+    rate = np.rint(W / 0.05) * 0.05
     kept = np.diff(rate, prepend=9.0) != 0.0
     return Recorded(table(folder, K[kept] / HZ, rate[kept]), MAP, "gaps with about")
 
@@ -147,69 +149,56 @@ def replaced(rate: np.ndarray, rows: np.ndarray, by: float) -> np.ndarray:
 
 FEW = rng.choice(ROWS, 8, replace=False)
 ZEROS = rng.choice(ROWS, 30, replace=False)
-valued("spikes", lambda w: spiked(w, FEW, 18.0))
-valued("pairs of spikes", lambda w: spiked(spiked(w, FEW[:4], 9.0), (FEW[:4] + 1) % ROWS, -9.0))
-valued("rows of the least count", lambda w: replaced(w, FEW, -1000.0))
-valued("rows of zeros", lambda w: replaced(w + 5.0, ZEROS, 0.0))
-valued("a channel that freezes", lambda w: replaced(w, np.arange(3000, 3400), w[3000]), asks="frozen")
-valued("a drift of temperature", lambda w: w + 5e-5 * K, "do not follow|no angle|trend")
-valued(
-    "half of the resolution after an hour", lambda w: np.where(K < 6000, w, np.rint(w / 0.1) * 0.1), "noise|coarse|step"
-)
-valued("bits that flip", lambda w: np.where(np.isin(K, FEW), w + 2.0**6 * 0.061, w))
-valued("a sign that is lost", np.abs, "sign")
-valued("noise that doubles", lambda w: 0.02 + (w - 0.02) * np.where(K < 6000, 1.0, 3.0), "do not follow")
+valued("spikes", spiked(W, FEW, 18.0))
+valued("pairs of spikes", spiked(spiked(W, FEW[:4], 9.0), (FEW[:4] + 1) % ROWS, -9.0))
+valued("rows of the least count", replaced(W, FEW, -1000.0))
+valued("rows of zeros", replaced(W + 5.0, ZEROS, 0.0))
+valued("a channel that freezes", replaced(W, np.arange(3000, 3400), W[3000]), asks="frozen")
+valued("a drift of temperature", W + 5e-5 * K, "do not follow|no angle|trend")
+valued("half of the resolution after an hour", np.where(K < 6000, W, np.rint(W / 0.1) * 0.1), "noise|coarse|step")
+valued("bits that flip", np.where(np.isin(K, FEW), W + 2.0**6 * 0.061, W))
+valued("a sign that is lost", np.abs(W), "sign")
+valued("noise that doubles", 0.02 + (W - 0.02) * np.where(K < 6000, 1.0, 3.0), "do not follow")
 valued(
     "a filtered median",
-    lambda w: np.median(np.stack([noise()[k : k + ROWS - 4] for k in range(5)]), 0)[np.minimum(K, ROWS - 5)],
+    np.median(np.stack([W[k : k + ROWS - 4] for k in range(5)]), 0)[np.minimum(K, ROWS - 5)],
     "low-pass",
 )
-valued("upsampled by lines", lambda w: np.interp(K / 4.0, np.arange(ROWS // 4 + 1), noise(ROWS // 4 + 1, 25.0)))
-valued("floats of 16 bits", lambda w: np.float16(w).astype(float))
-valued(
-    "a bias that is taken off each second", lambda w: w - np.repeat(w.reshape(-1, 100).mean(1), 100), "do not follow"
-)
-valued("jumps of the bias", lambda w: w + 0.05 * np.array([0, 1, 0, 2, 1, 3])[K * 6 // ROWS])
-valued("a dead band", lambda w: np.where(np.abs(w - 0.02) < 0.12, 0.0, w), "dead band")
-valued("a small dead band", lambda w: np.where(np.abs(w) < 0.02, 0.0, w), "a dead band")
-valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
-valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
-valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "times its noise, and increase the measured noise")
-valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
-valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
+valued("upsampled by lines", np.interp(K / 4.0, np.arange(ROWS // 4 + 1), noise(ROWS // 4 + 1, 25.0)))
+valued("floats of 16 bits", np.float16(W).astype(float))
+valued("a bias that is taken off each second", W - np.repeat(W.reshape(-1, 100).mean(1), 100), "do not follow")
+valued("jumps of the bias", W + 0.05 * np.array([0, 1, 0, 2, 1, 3])[K * 6 // ROWS])
+valued("a dead band", np.where(np.abs(W - 0.02) < 0.12, 0.0, W), "dead band")
+valued("a small dead band", np.where(np.abs(W) < 0.02, 0.0, W), "a dead band")
+valued("two values", np.rint((W - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
+valued("one value in most rows", np.rint(W / 0.5) * 0.5, "dead band|coarse")
+valued("steps of the noise", np.rint(W / 0.05) * 0.05, "times its noise, and increase the measured noise")
+valued("steps of a fifth of the noise", np.rint(W / 0.01) * 0.01)
+valued("one constant value", np.full(ROWS, 0.25), "the same value|does not change")
 valued(
     "counts of 16 bits without a sign",
-    lambda w: np.rint(w / 0.004) % 65536,
+    np.rint(W / 0.004) % 65536,
     "are they counts",
 )
-valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
-valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))
-valued("a sample that is read four times", lambda w: np.repeat(noise(ROWS // 4, 25.0), 4))
-valued("an angle instead of a rate", lambda w: np.cumsum(w) / HZ, "does not|no angle random walk|do not follow|trend")
-valued("a hum of the mains", lambda w: w + 0.3 * np.sin(2 * np.pi * 9.7 * K / HZ), "do not follow")
-valued("a sensor that was moved", lambda w: w + 30.0 * np.exp(-(((K - 6000) / 200.0) ** 2)), "do not follow|any gyro")
+valued("the mean of 8 samples", np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
+valued("a sample that is read twice", np.repeat(noise(ROWS // 2, 50.0), 2))
+valued("a sample that is read four times", np.repeat(noise(ROWS // 4, 25.0), 4))
+valued("an angle instead of a rate", np.cumsum(W) / HZ, "does not|no angle random walk|do not follow|trend")
+valued("a hum of the mains", W + 0.3 * np.sin(2 * np.pi * 9.7 * K / HZ), "do not follow")
+valued("a sensor that was moved", W + 30.0 * np.exp(-(((K - 6000) / 200.0) ** 2)), "do not follow|any gyro")
 
 
-def turned(periods: int):
-    """Several sensors in turns, a row each."""
-    return lambda w: w + np.array([0.0, 1.3, -0.9, 2.1])[K % periods]
-
-
-valued("two sensors in turns", turned(2), "several sensors alternate")
-valued("three sensors in turns", turned(3), "several sensors alternate")
+OFFSETS = np.array([0.0, 1.3, -0.9])
+valued("two sensors in turns", W + OFFSETS[K % 2], "several sensors alternate")
+valued("three sensors in turns", W + OFFSETS[K % 3], "several sensors alternate")
 
 
 def lines(name: str, header: str, row: Callable[[int, float], str], more: str = "", asks: str | None = None, **options):
     """A kind of text."""
-    rate = noise()
     base = options.pop("base", MAP)
     ZOO[name] = lambda folder: Recorded(
-        text(folder, [row(k, v) for k, v in enumerate(rate)], header, **options), base + more, asks
+        text(folder, [row(k, v) for k, v in enumerate(W)], header, **options), base + more, asks
     )
-
-
-def german(value: float, digits: int) -> str:
-    return f"{value:,.{digits}f}".replace(",", " ").replace(".", ",").replace(" ", ".")
 
 
 SEMI = '[csv]\ndelimiter = ";"\ndecimal = ","\n'
@@ -217,8 +206,14 @@ COUNTS = HEAD + TIME + 'rate.x = { column = "gx", unit = "deg/s", scale = 5e-4, 
 lines("decimal commas", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace(".", ","), SEMI)
 lines("decimal commas, not said", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace(".", ","),
       '[csv]\ndelimiter = ";"\n', "decimal comma")  # fmt: skip
-lines("marks of thousands", "t;gx", lambda k, v: f"{k / HZ:.2f}".replace(".", ",") + ";" + german(1000 + v / 5e-4, 0),
-      SEMI, "thousands separator", base=COUNTS)  # fmt: skip
+lines(
+    "marks of thousands",
+    "t;gx",
+    lambda k, v: f"{k / HZ:.2f};{1000 + v / 5e-4:_.0f}".replace(".", ",").replace("_", "."),
+    SEMI,
+    "thousands separator",
+    base=COUNTS,
+)
 lines("Swiss thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", "'"),
       "", "notation", base=COUNTS)  # fmt: skip
 lines("spaces between thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", " "),
@@ -262,53 +257,36 @@ lines("deg/s as rad/s", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", "", "any g
 lines("a header again and again", "t,gx", lambda k, v: ("t,gx\n" if k % 1000 == 500 else "") + f"{k / HZ:.2f},{v:.6f}")
 
 
-@kind
-def thinned_and_said(folder: Path) -> Recorded:
-    """Single samples at 400 Hz, of which every 40th is written."""
-    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), HEAD + 'sensor_rate = "400 Hz"\n' + TIME + RATE)
-
-
-@kind
-def thinned_and_not_said(folder: Path) -> Recorded:
-    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "each row is a single sample")
-
-
-@kind
-def means_at_one_hertz(folder: Path) -> Recorded:
-    return Recorded(table(folder, K * 1.0, noise(ROWS, 1.0)), MAP)
+# Single samples at 400 Hz, of which every 40th is written.
+stamped("thinned_and_said", K / 10.0, HEAD + 'sensor_rate = "400 Hz"\n' + TIME + RATE, hz=400.0)
+stamped("thinned_and_not_said", K / 10.0, asks="each row is a single sample", hz=400.0)
+stamped("means_at_one_hertz", K * 1.0, hz=1.0)
 
 
 @kind
 def compressed_text(folder: Path) -> Recorded:
-    plain = table(folder, K / HZ, noise())
+    plain = table(folder, K / HZ, W)
     return Recorded(plain.rename(folder / "record.csv.gz"), MAP, "unknown file name extension")
 
 
-@kind
-def parquet(folder: Path) -> Recorded:
-    import pyarrow
-    import pyarrow.parquet
+def parquet(name: str, unit: str, epoch: np.ndarray, kind: pyarrow.DataType):
+    """A kind of stamps in Parquet."""
 
-    columns = pyarrow.table({"t": 1_700_000_000_000_000_000 + K * 10_000_000, "gx": noise()})
-    pyarrow.parquet.write_table(columns, folder / "record.parquet")
-    return Recorded(folder / "record.parquet", in_unit("ns"))
+    def write(folder: Path) -> Recorded:
+        columns = pyarrow.table({"t": pyarrow.array(epoch, type=kind), "gx": W})
+        pyarrow.parquet.write_table(columns, folder / "record.parquet")
+        return Recorded(folder / "record.parquet", in_unit(unit))
+
+    ZOO[name] = write
 
 
-@kind
-def parquet_of_dates(folder: Path) -> Recorded:
-    import pyarrow
-    import pyarrow.parquet
-
-    stamps = pyarrow.array((1_700_000_000_000_000 + K * 10_000), type=pyarrow.timestamp("us"))
-    pyarrow.parquet.write_table(pyarrow.table({"t": stamps, "gx": noise()}), folder / "record.parquet")
-    return Recorded(folder / "record.parquet", in_unit("us"))
+parquet("parquet", "ns", 1_700_000_000_000_000_000 + K * 10_000_000, pyarrow.int64())
+parquet("parquet_of_dates", "us", 1_700_000_000_000_000 + K * 10_000, pyarrow.timestamp("us"))
 
 
 @kind
 def struct_of_matlab(folder: Path) -> Recorded:
-    from scipy.io import savemat
-
-    held = {"t": K / HZ, "imu": {"wb": np.column_stack([noise(), noise(seed=2)]), "name": "SN-1"}}
+    held = {"t": K / HZ, "imu": {"wb": np.column_stack([W, noise(seed=2)]), "name": "SN-1"}}
     savemat(folder / "record.mat", held)
     rate = 'rate.x = { column = "imu.wb", index = 0, unit = "deg/s" }\n'
     return Recorded(folder / "record.mat", HEAD + TIME + rate)
@@ -318,7 +296,7 @@ def sentences(name: str, columns: str, asks: str | None = None, mixed: bool = Fa
     """A receiver's text: the last field ends in a checksum."""
 
     def write(folder: Path) -> Recorded:
-        rows = [f"$VNIMU,1,2,3,0,0,-9.8,{w:.6f},0,{-w:.6f},21.5,101.3*{k % 256:02X}" for k, w in enumerate(noise())]
+        rows = [f"$VNIMU,1,2,3,0,0,-9.8,{w:.6f},0,{-w:.6f},21.5,101.3*{k % 256:02X}" for k, w in enumerate(W)]
         if mixed:
             rows = [line for k, row in enumerate(rows) for line in (row, f"$VNYPR,{k},{k + 1},{k + 2},1,1,1,0.5,9*00")]
         return Recorded(text(folder, rows[1:], rows[0], "record.txt"), columns, asks)
@@ -403,16 +381,8 @@ lines("an axis a row", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / H
 lines("an axis a row, and not which", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / HZ:.2f},y,{1 - v:.6f}",
       "", "several sensors", base=HEAD + TIME + 'rate.x = { column = "v", unit = "deg/s" }\n')  # fmt: skip
 
-swapped = K.reshape(-1, 10)[:, ::-1].ravel()
-
-
-def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.ndarray | float = 0.0):
-    """A kind of order of sound rows."""
-    ZOO[name] = lambda folder: Recorded(table(folder, (K / HZ + later)[order], noise()[order]), MAP, asks)
-
-
 shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel())
-shuffled("tens of rows from the last", swapped)
+shuffled("tens of rows from the last", K.reshape(-1, 10)[:, ::-1].ravel())
 shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)))
 shuffled("two clocks in turns", K, "two alternating clocks", 1000.0 * (K % 2))
 shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 * (K > 3000))
@@ -437,10 +407,10 @@ def changed_to(hz: float):
 
 changed_to(200.0)
 changed_to(50.0)
-valued("noise cut off at a limit", lambda w: np.clip(w, -0.05, 0.09), "cuts off the noise")
-valued("noise cut off on one side", lambda w: np.maximum(w, -0.03), "cuts off the noise")
-QUIET = np.convolve(np.abs(noise() - 0.02), np.ones(25) / 25, "same") < 0.038
-valued("zeros while it seems at rest", lambda w: np.where(QUIET, 0.0, w), "a dead band")
+valued("noise cut off at a limit", np.clip(W, -0.05, 0.09), "cuts off the noise")
+valued("noise cut off on one side", np.maximum(W, -0.03), "cuts off the noise")
+QUIET = np.convolve(np.abs(W - 0.02), np.ones(25) / 25, "same") < 0.038
+valued("zeros while it seems at rest", np.where(QUIET, 0.0, W), "a dead band")
 
 WARM = 22.0 + 3.0 * K / ROWS
 
@@ -448,7 +418,7 @@ WARM = 22.0 + 3.0 * K / ROWS
 def warmed(name: str, shown: np.ndarray, asks: str | None = None):
     """A kind of thermometer."""
     ZOO[f"a thermometer {name}"] = lambda folder: Recorded(
-        text(folder, [f"{k / HZ:.2f},{v:.6f},{c:.3f}" for k, v, c in zip(K, noise(), shown, strict=True)], "t,gx,temp"),
+        text(folder, [f"{k / HZ:.2f},{v:.6f},{c:.3f}" for k, v, c in zip(K, W, shown, strict=True)], "t,gx,temp"),
         MAP + 'temperature = { column = "temp", unit = "degC" }\n',
         asks,
     )

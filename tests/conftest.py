@@ -80,37 +80,22 @@ if not os.environ.get("GRADCAL_UNCHECKED"):
     jaxtyping.install_import_hook(core, "beartype.beartype")
 
 
-_SURE = (
-    "calibration",
-    "cli",
-    "estimation",
-    "evidence",
-    "experiments",
-    "hardware",
-    "notebooks",
-    "pages",
-    "plots",
-    "recipe",
-    "recompute",
-    "records",
-    "spec",
-    "sweeps",
-    "tables",
-    "test_display.py",
-    "test_docs.py",
-)
-"""Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
-_ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans")
-"""The same of files in `imu`, and of whole plans, whose figures have sources of their own."""
-_SEARCHES = ("pose_search", "free_course", "optimise", "imu_limit", "exact")
-"""The same of files in `design`, of searches of whole specs."""
+_ROOMS = ("design", "identify", "imu", "information", "model", "motion", "numbers")
+"""Rooms whose tests check the core's annotations; others use the core by ways that these have checked."""
+_SURE = {
+    "imu": ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans"),
+    "test_display.py": ("display",),
+    "test_docs.py": ("docs",),
+    "design": ("pose_search", "free_course", "optimise", "imu_limit", "exact"),
+}
+"""The same of files of these rooms: of whole plans, whose figures have sources of their own, and of searches."""
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _annotations(request):
     parts = request.path.relative_to(Path(__file__).parent).parts
-    sure = parts[0] in _SURE or (parts[0] == "imu" and any(word in parts[-1] for word in _ESTIMATES))
-    sure |= parts[0] == "design" and any(word in parts[-1] for word in _SEARCHES)
+    room, file = parts[0], parts[-1]
+    sure = room not in (*_ROOMS, file) or any(word in file for word in _SURE.get(room, ()))
     jaxtyping.config.update("jaxtyping_disable", sure)
 
 

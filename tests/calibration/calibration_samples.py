@@ -15,18 +15,14 @@ SPLINE_T = 'temperature = { knots = ["-30 degC", "0 degC", "40 degC", "70 degC"]
 BINS_W = 'rate = { degree = 0, knots = ["-300 deg/s", "0 deg/s", "300 deg/s"] }'
 
 
-def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, n_t=4, n_w=4, more="", terms=""):
+def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, more="", terms=""):
     """A gyro's channel: `more` are keys of the channel, `terms` further terms."""
     rng = np.random.default_rng(seed)
-    a = [f"a{i}" if "knots" not in temperature else f"a_spline{i}" for i in range(n_t)]
-    both = "knots" not in temperature + rate
-    b = [
-        f"b{j}{i}"
-        if both
-        else f"b{'_bin' if 'knots' in rate else ''}{j}_{'_spline' if 'knots' in temperature else ''}{i}"
-        for i in range(n_t)
-        for j in range(n_w)
-    ]
+    spline, bins = "knots" in temperature, "knots" in rate
+    n_t, n_w = 6 if spline else 4, 2 if bins else 4
+    a = [f"a{'_spline' * spline}{i}" for i in range(n_t)]
+    of_t = [f"{'_' * (spline or bins)}{'_spline' * spline}{i}" for i in range(n_t)]
+    b = [f"b{'_bin' * bins}{j}{i}" for i in of_t for j in range(n_w)]
     lines = ["[[channel]]", 'kind = "gyro"', f'axis = "{name}"', 'valid_temperature = ["-30 degC", "70 degC"]']
     lines += ['valid_rate = ["-300 deg/s", "300 deg/s"]', more]
     lines += ["[[channel.term]]", 'name = "bias"', 'unit = "rad/s"', temperature, "[channel.term.coefficients]"]

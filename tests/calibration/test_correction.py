@@ -44,7 +44,7 @@ def log_of(calibration, rows=500, seed=0, **more):
 
 
 def test_what_was_measured_is_solved_to_rounding(tmp_path):
-    found = parse_calibration(HEAD + "".join(axis_text(n, SPLINE_T, POLYNOMIAL_W, n_t=6) for n in "xyz"))
+    found = parse_calibration(HEAD + "".join(axis_text(n, SPLINE_T, POLYNOMIAL_W) for n in "xyz"))
     log, truth = log_of(found)
     corrected = apply(found, log)
     np.testing.assert_allclose(corrected.log.rate_rad_per_s[0], truth, rtol=4e-15, atol=4e-15)
@@ -65,7 +65,7 @@ def test_the_log_of_an_imu_is_solved_to_the_truth():
 
 
 def test_bins_jump_and_are_solved_within_the_jump():
-    found = parse_calibration(HEAD + axis_text("x", POLYNOMIAL_T, BINS_W, n_w=2))
+    found = parse_calibration(HEAD + axis_text("x", POLYNOMIAL_T, BINS_W))
     truth = np.radians(np.linspace(-290.0, 290.0, 401))
     at = np.full_like(truth, 33.0)
     solved = correct(found.channel, {"rate x": gyro(found, truth, at)}, at)["rate x"]

@@ -250,7 +250,7 @@ def test_what_a_target_cannot_take_is_a_sentence():
         with pytest.raises(ValueError, match=said):
             export(CALIBRATION, target, **how)
     with pytest.raises(ValueError, match="bias of gyro x has knots"):
-        export(parse_calibration(HEAD + axis_text("x", SPLINE_T, n_t=6)), "c-header")
+        export(parse_calibration(HEAD + axis_text("x", SPLINE_T)), "c-header")
     named = parse_calibration(HEAD + axis_text("roll"))
     for target in ("ardupilot", "px4"):
         with pytest.raises(ValueError, match="none of them fits"):

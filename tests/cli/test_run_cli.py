@@ -9,14 +9,13 @@ import time
 from pathlib import Path
 
 import pytest
+from made_recipe import made_of
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import read_journal
-from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.recipe.rounding import rounded, steps_of
-from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.records.log_file import read_log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -39,19 +38,8 @@ CHANGES = {
 
 
 def a_recipe(folder: Path) -> Path:
-    spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES)).spec
-    chamber, motion = tracks_of(spec, float(steps_of(spec).acceleration))
-    made = Recipe(
-        format="gradcal-recipe/1",
-        status="not optimised",
-        made=RecipeOrigin(by="a test", versions={}),
-        resolution=steps_of(spec),
-        stability=Stability(for_at_least=Quantity.read("20 s", "time")),
-        chamber=chamber,
-        motion=motion,
-        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
-        spec=spec,
-    )
+    quick = Stability(for_at_least=Quantity.read("20 s", "time"))
+    made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES), quick)
     path = folder / "recipe.toml"
     path.write_text(to_toml(made), encoding="utf-8")
     return path

@@ -11,7 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from search_problem import SPEC, exact
 
-from gradcal_jax.design.cycle_plan import CyclePlan, Proposal
+from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.visits import visit_choices
 from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.spec.changes import changed
@@ -83,24 +83,13 @@ def test_any_vector_is_a_plan_within_the_limits(spec, kind):
     holds()
 
 
-def too_long(plan: CyclePlan, of: Proposal) -> bool:
-    """Whether turns by pose take longer than there is time with the shortest rests."""
-    visits = plan.coordinates.visits
-    rests = [plan.limits.shortest * (t.rest > 0.0) for t in of.turns]
-    taken = np.bincount(visits.group, [plan.limits.time_of(t) + rest for t, rest in zip(of.turns, rests, strict=True)])
-    return bool(np.any(taken > visits.own + 0.5))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_plan_is_written_as_it_is_executed(spec, kind):
     """Nothing is left to round, the axis leaves the table on time, and stays within its travel."""
     given = changed(KINDS[kind](spec), {"rig.resolution.acceleration": "0.0000001 deg/s^2"})
-    plan, written = plan_of(given), 0
+    plan = plan_of(given)
     for seed in range(6):
-        drawn = plan.drawn(np.random.default_rng(seed))
-        if too_long(plan, drawn):
-            continue
-        made, written = plan.spec_of(drawn), written + 1
+        made = plan.spec_of(plan.drawn(np.random.default_rng(seed)))
         assert rounded(made).changes == ()
         assert (plan.cycles > 1) == (kind == "the same moves in many")
         assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.cycles
@@ -112,7 +101,6 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
         if kind != "the same moves in many":
             assert len(others) == 3
             assert min(others) >= 780.0 - 1e-6
-    assert written
 
 
 CHANGES = {

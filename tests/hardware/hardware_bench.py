@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from made_recipe import made_of
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_chambers import SimulatedCts
@@ -26,9 +27,8 @@ from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Track, track_of
-from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.recipe.rounding import rounded, steps_of
-from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
@@ -193,19 +193,7 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
 
 def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
     """A recipe whose prediction is empty: what can be made without compiling anything."""
-    result, steps = rounded(spec).spec, steps_of(spec)
-    chamber, motion = tracks_of(result, float(steps.acceleration))
-    return Recipe(
-        format="gradcal-recipe/1",
-        status="not optimised",
-        made=RecipeOrigin(by="a test", versions={}),
-        resolution=steps,
-        stability=Stability(for_at_least=Quantity.read(stable_for, "time")),
-        chamber=chamber,
-        motion=motion,
-        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
-        spec=result,
-    )
+    return made_of(spec, Stability(for_at_least=Quantity.read(stable_for, "time")))
 
 
 @contextmanager

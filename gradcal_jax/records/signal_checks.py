@@ -32,6 +32,8 @@ _FROZEN, _HELD, _AT_LIMIT, _UNUSUAL, _FROZEN_S = 60, 3, 10, 10.0, 30.0
 _BESIDE, _AROUND, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 51, 200, 25, 21, 2, 0.01
 # Below this rate (Hz) a single row may be the motion itself.
 _LEAST_RATE: Final = 20.0
+# A gap is longer than these seconds and intervals: over less, a rate is interpolated.
+_GAP_S, _GAP_ROWS = 0.25, 4.0
 # K between rows that no thermometer jumps, and the largest share of rows between such jumps.
 _JUMP_K, _JUMPED = 5.0, 0.2
 # Rows of a window at rest; the share of a step from which rounding counts.
@@ -374,12 +376,31 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
     return found
 
 
+def _gaps(log: Log) -> tuple[Whole, list[str]]:
+    """Rows behind gaps that a log does not mark, and a sentence on these."""
+    interval = np.diff(log.time_s)
+    usual = float(np.median(interval))
+    gaps = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
+    new = np.setdiff1d(gaps, log.stretch_starts).astype(np.int64)
+    if not len(new):
+        return new, []
+    lost = np.sum(interval[new - 1] / usual - 1.0)
+    longest, first = np.max(interval[new - 1]), log.time_s[new[0] - 1]
+    words = f"{len(new)} without a mark, with about {lost:.0f} samples lost, the longest {longest:.3g} s, the first"
+    return new, [f"gaps: {words} at {first:.6g} s; moves during the gaps are left out"]
+
+
 def without_faults(
     log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
 ) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, and by unit what was
-    found. `at_rest`: of a record in which everything that is not marked as moving stands still."""
+    """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, with stretches that
+    begin behind gaps, and by unit what was found. `at_rest`: of a record in which everything that is not marked as
+    moving stands still."""
+    gaps, sentences = _gaps(log)
+    log = replace(log, stretch_starts=np.union1d(log.stretch_starts, gaps)) if len(gaps) else log
     found = {name: _faults_of(log, number, channels, at_rest) for number, name in enumerate(log.units)}
+    for faults in found.values():
+        faults.sentences[:0] = sentences
     status = np.stack([one.status for one in found.values()])
     status |= 0 if log.status is None else log.status
     return without_masked(replace(log, status=status)) if status.any() else log, found

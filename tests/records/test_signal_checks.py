@@ -1,5 +1,7 @@
 """What the samples of a channel show by themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,21 @@ def test_a_frozen_thermometer_is_forgotten():
     assert np.flatnonzero(np.isnan(cleaned.temperature_c[0])).tolist() == list(range(20_000, 40_000))
     assert np.count_nonzero(~cleaned.usable()) == 20_000
     assert "frozen: the thermometer" in found["A"].sentences[0]
+
+
+def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
+    log = log_of(turning())
+    kept = np.ones(len(log.time_s), bool)
+    kept[[1000, 1500, 3000]] = False
+    kept[2000:2100] = False
+    assert log.standstill is not None
+    rates = log.rate_rad_per_s[:, kept]
+    thin = replace(log, time_s=log.time_s[kept], rate_rad_per_s=rates, standstill=log.standstill[kept], rows_read=-1)
+    cleaned, found = without_faults(thin)
+    assert cleaned.stretch_starts.tolist() == [0, 1998]
+    (said,) = found["A"].sentences
+    assert "with about 100 samples lost, the longest 2.02 s, the first at 39.98 s" in said
+    assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]
 
 
 @pytest.mark.parametrize("peak", [105.0, 150.0])

@@ -197,11 +197,13 @@ def _joined(
             if low < high:
                 own["standstill"][low:high] = standing
                 standing += 1
+        spins = spins and any(course.spins for course in courses)
         for k, course in enumerate(courses):
             read_in = table_readings(course, k, host, part.sample_s + unsure_s)
             readings.append((replace(read_in, row=read_in.row + part.first), read_in.time_s - host[read_in.row]))
-            own["table_rate"][:, k] = held_rates(course, host)
-        spins = spins and any(course.spins for course in courses)
+            # (Only where it is kept: arrays of all rows in memory.)
+            if spins:
+                own["table_rate"][:, k] = held_rates(course, host)
     _place(rows, parts)
     # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
     placed = [replace(one, time_s=rows["time_s"][one.row] + since_s) for one, since_s in readings]

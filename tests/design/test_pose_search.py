@@ -79,6 +79,19 @@ def test_the_targets_of_other_requirements_limit_a_search():
     assert f"meets the target of {other.name}" in never.sentence
 
 
+@pytest.mark.long
+def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
+    """A search from an optimum that may do nothing finds nothing, and says so."""
+    _, _, best = searched
+    *_, again = run_search(best.spec, steps=20, stop=lambda: True)
+    if again.kept:
+        assert again.spec == best.spec
+        assert [row[2] for row in again.rows] == [row[3] for row in again.rows]
+        assert again.gain == 1.0
+    else:
+        assert again.gain > 1.0
+
+
 def test_targets_are_met_by_their_rule():
     """Noise as it is written meets targets of 1.2 times what it leaves; twice the standard deviation is within a target
     where one is within half of it."""

@@ -160,7 +160,7 @@ def _with_model(
     from gradcal_jax.estimation.log_rows import Options
 
     with MovingLine(sys.stderr) as line:
-        shown = {} if line.plain else {"progress": line.show}
+        shown: dict[str, Any] = {} if line.plain else {"progress": line.show}
         report = estimate_log(model, logs, axis=axis, options=Options(**options, **shown), sources=sources)
     texts = [text_of_estimate(sensor) for sensor in report.sensors]
     draw = lambda plots: plots.calibration.draw_estimate(report)  # noqa: E731

@@ -316,6 +316,7 @@ def _fit(rows: _Rows, priors: np.ndarray, tested: int) -> _Fit:
     """Least squares of rows with a covariance: `rows(p)` gives residuals (r,), their derivative (r, p), covariance
     (r, r). The standard deviation of the first `tested` rows grows where the residuals exceed the noise."""
     size, p, factor, tests = len(priors), np.zeros(len(priors)), 1.0, list[Test]()
+    known, whole, unseen = np.diag(priors**2), np.zeros((0, 0)), np.zeros((size, 0))
     for k in range(_PASSES):
         whole = rows(p)[2]
         whole[:tested, :tested] *= factor**2

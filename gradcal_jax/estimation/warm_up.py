@@ -211,7 +211,7 @@ def _marked(log: Log, unit: str) -> Log:
             f"the temperature of IMU {unit} changes by {span:.2g} K at rest: a bias over temperature needs "
             f"{_LEAST_SPAN:g} K or more, so cool the vehicle before you switch it on, and let it warm up longer"
         )
-    step = float(np.min(np.diff(np.unique(temperature[known]))))
+    step = float(np.diff(np.unique(temperature[known])).min())
     if step > _COARSE_K:
         raise LogError(
             f"the temperature of IMU {unit} changes in steps of {step:.2g} K: log it with more digits, since half a "

@@ -328,7 +328,7 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
         readings = readings_of_standstills(motion, model, at)
         shares = xp.concatenate([xp.ones((1, axes)), xp.where(moved > 0.0, share, 1.0)])
         drawn = offset + reading / (readings * shares)
-        fresh, spread, first = moved, moved * drawn[1:], drawn[0]
+        fresh, spread, first, stands = moved, moved * drawn[1:], drawn[0], moved
     else:
         gap, read, at_rest = (np.asarray(x)[at.last][:, None] for x in (line.gap, line.read, line.at_rest))
         # The empty slots of a search take no time, and are not read.

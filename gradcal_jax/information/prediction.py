@@ -166,7 +166,7 @@ def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
     plan = judged_plan(spec)
     shares = {r.name: of for r, of in zip(plan.built.spec.requirement, _shares(plan), strict=True)}
-    return {name: of for name, of in shares.items() if of is not None}
+    return {str(name): dict(of) for name, of in shares.items() if of is not None}
 
 
 def _with_limits(plan: JudgedPlan) -> list[RequirementRow]:

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg import get_lapack_funcs
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.information.noise_steps import NoiseSteps
@@ -38,6 +38,8 @@ SINGLE_PRECISION = (
 )
 # Readings of a block in NumPy, whose calls are dear; JAX joins only readings between which no step lies.
 _READINGS = 24
+# LAPACK's inverse of a triangular matrix in double precision.
+_INVERSE_OF_TRIANGLE: Any = get_lapack_funcs("trtri", dtype=np.float64)
 
 
 class Blocks(NamedTuple):
@@ -207,7 +209,7 @@ def _whitener(covariance: Float[AnyArray, "r r"]) -> Float[AnyArray, "r r"]:
     factor = xp.linalg.cholesky(covariance + xp.diag(none))
     if xp is np:
         # (A third of the time of a solve.)
-        return dtrtri(factor, lower=1)[0] * (1.0 - none)
+        return _INVERSE_OF_TRIANGLE(factor, lower=1)[0] * (1.0 - none)
     return solve_transposed(factor.T, xp.diag(1.0 - none))
 
 

@@ -68,6 +68,8 @@ class Axis:
         self._eased_dps, self._eased_until_s = 0.0, -math.inf
         # Where it has stood, nearly, and since when.
         self._stands_deg = self._stands_since_s = math.inf
+        # Where it stood first since its last command; NaN: it has not stood since.
+        self._rests_deg = math.nan
         # How many readings one after the other showed another rate than that of its spin.
         self._off_rate = 0
 
@@ -106,7 +108,7 @@ class Axis:
         self._event("homing", axis=self.name)
         # Asked for before it searches, when a device may answer nothing.
         self.by_hand = self.limits.by_hand
-        self._told_dps = math.inf
+        self._told_dps, self._rests_deg = math.inf, math.nan
 
         def home() -> None:
             self.searches_since_s = self._clock.now()
@@ -124,6 +126,7 @@ class Axis:
         self.awaited = False
         self._allow(abs(move.rate_dps), move.acceleration_dps2)
         self._stands_deg = self._stands_since_s = math.inf
+        self._rests_deg = math.nan
         self.command, self.looks_s = None, math.inf
         self.began_s, self.from_deg = now_s, self.at_deg if move.kind == "go" else self.goal_deg
         if move.kind == "spin":
@@ -147,11 +150,14 @@ class Axis:
         self.device.stop()
         self._allow(0.0)
         self._event("stopped", at_once=False, axis=self.name)
-        self.command, self.looks_s = None, math.inf
+        self.command, self.looks_s, self._rests_deg = None, math.inf, math.nan
 
     def read(self) -> AxisReading:
         """A reading without an event."""
         reading = self.device.read()
+        if abs(reading.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
+            # One damaged character may show another angle.
+            reading = self.device.read()
         if not self.moved_by_run:
             self._first_faults = frozenset(reading.faults) if self._first_faults is None else self._first_faults
             new = tuple(fault for fault in reading.faults if fault not in self._first_faults)
@@ -159,10 +165,17 @@ class Axis:
         self.newest = reading
         if abs(reading.position_deg - self._stands_deg) > _stands_within_deg(self._told_dps):
             self._stands_deg, self._stands_since_s = reading.position_deg, reading.time_s
+        if self.command is None and self.looks_s == math.inf:
+            self._rest_at(reading)
         return reading
 
-    def ended(self) -> AxisCommand | None:
+    def _rest_at(self, reading: AxisReading) -> None:
+        if math.isnan(self._rests_deg) and not reading.moving:
+            self._rests_deg = reading.position_deg
+
+    def ended(self, reading: AxisReading) -> AxisCommand | None:
         """What has ended, of an axis that stands."""
+        self._rest_at(reading)
         if self._told_dps:
             self._allow(0.0)
         command, self.command = self.command, None
@@ -200,6 +213,16 @@ class Axis:
             return ""
         turns = f"axis {self.name} turns at {newest.rate_dps:.1f} deg/s"
         return f"{turns}; the command was {bounds[0]:g}, and the rig allows {bounds[1]:g}"
+
+    def strays(self) -> str:
+        """A sentence where it has left the angle at which it stood without a command, whatever its state says."""
+        newest = self.newest
+        if newest is None or self.limits.by_hand or not abs(newest.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
+            return ""
+        return (
+            f"axis {self.name} stood at {self._rests_deg:.1f} deg and was not told to move, and is at "
+            f"{newest.position_deg:.1f} deg: check its controller, and whether something pushed it"
+        )
 
     def stalled(self) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
@@ -348,6 +371,7 @@ class AxisControl:
         return {
             "axis fault": "; ".join(faults),
             "over-speed": "; ".join(filter(None, [axis.too_fast() for axis in axes])),
+            "stray axis": "; ".join(filter(None, [axis.strays() for axis in axes])),
             "stalled axis": "; ".join(filter(None, [axis.stalled() for axis in axes])),
         }
 
@@ -390,7 +414,7 @@ class AxisControl:
         return reading
 
     def _stood(self, axis: Axis, reading: AxisReading) -> None:
-        late_s, command = reading.time_s - axis.ends_s, axis.ended()
+        late_s, command = reading.time_s - axis.ends_s, axis.ended(reading)
         if command is None or command.kind == "go":
             return
         if axis.by_hand:

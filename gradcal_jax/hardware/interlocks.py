@@ -13,6 +13,7 @@ RULES: Final[Mapping[str, float]] = {
     "chamber alarm": 0.0,
     "axis fault": 0.0,
     "over-speed": 0.0,
+    "stray axis": 0.0,
     "stalled axis": 0.0,
     "temperature limit": 0.0,
     "temperature course": 30.0,

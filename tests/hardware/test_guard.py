@@ -345,7 +345,7 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
         assert "everything is verified safe" in said
         # What cannot be made safe is said, too.
         rig.ports[0].unplug()
-        guard.make_folder_safe(tmp_path, deadline_s=0.2)
+        guard.make_folder_safe(tmp_path, deadline_s=1.0)
         assert read_status(tmp_path)["state"] == "failed"
         assert "NOT VERIFIED SAFE: chamber" in capsys.readouterr().err
     assert main(["rig", "watch", str(tmp_path)]) == 3

@@ -223,8 +223,7 @@ def test_a_spin_at_another_rate_is_made_again_from_the_nearest_equal_angle(tmp_p
     assert goes["position_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("turning", [True, False], ids=["in a turn", "at rest"])
-def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, turning: bool) -> None:
+def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path) -> None:
     with running(tmp_path, short_track()) as (rig, runner):
         ran: list[float] = []
 
@@ -232,14 +231,39 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
             ran.append(runner.clock.now())
             rig.axis.spin(runner.clock.now(), 700.0, 1e5)
 
-        def is_so(progress: RunProgress) -> bool:
-            # At rest in its first seconds: the next turn's command would stop it, too.
-            early = progress.steps_done >= 2 and progress.step_left_s is not None and progress.step_left_s > 12.0
-            return once_turning(rig, runner)(progress) if turning else early and not rig.axis.moving(runner.clock.now())
-
-        acting(runner, (is_so, run_away))
+        acting(runner, (once_turning(rig, runner), run_away))
         ends_aborted(runner, "Interlock 'over-speed': axis table turns at", "the rig allows 300")
         assert rig.axis.state(runner.clock.now())[1] == 0.0
+    (tripped,) = events(tmp_path, "interlock")
+    assert tripped.time_s - ran[0] < 6.0
+
+
+@pytest.mark.parametrize("heeds", [True, False], ids=["heeds a stop", "heeds nothing"])
+@pytest.mark.parametrize("rate_dps", [2.0, 500.0, math.inf])
+def test_an_axis_that_leaves_its_place_while_its_board_reports_idle(
+    tmp_path: Path, rate_dps: float, heeds: bool
+) -> None:
+    """In a step whose samples are not used, and whose end no command follows; an infinite rate is a jump."""
+    track = Track((TURN, TrackStep("stand", 120.0, read_every_s=10.0)))
+    with running(tmp_path, track, with_unit=False) as (rig, runner):
+        clock, ran = runner.clock, list[float]()
+
+        def leave() -> None:
+            assert rig.table._state == "Idle"
+            ran.append(clock.now())
+            if math.isinf(rate_dps):
+                rig.axis.set_zero(clock.now(), 100.0)
+            else:
+                rig.axis.spin(clock.now(), rate_dps, 1e5)
+
+        if heeds:
+            rig.table._cancel_jog = lambda: rig.axis.spin(clock.now(), 0.0, 1e5)
+        acting(runner, (lambda progress: in_step(1)(progress) and left(progress, 100.0), leave))
+        result = runner.run()
+    assert result.exit_status == "aborted", result
+    assert "Interlock 'stray axis': axis table stood at 10.0 deg and was not told to move" in result.reason
+    assert result.verified_safe == (heeds or math.isinf(rate_dps))
+    assert (rig.axis.state(clock.now())[1] == 0.0) is result.verified_safe
     (tripped,) = events(tmp_path, "interlock")
     assert tripped.time_s - ran[0] < 6.0
 
@@ -477,7 +501,7 @@ def counted(port: Wire, lost: int = -1) -> list[bytes]:
 
 @pytest.mark.evidence
 def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
-    """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep.
+    """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep, axes that run away.
 
     A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
     """
@@ -488,7 +512,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
         assert runner.run().exit_status == "success"
     sizes = dict(zip(("chamber", "table"), map(len, told), strict=True))
     mishaps = [(name, int(random.integers(size))) for name, size in sizes.items() for _ in range(8)]
-    mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)]
+    mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)] + [("run-away axis", 0)] * 2
     ended: collections.Counter[tuple[str, str]] = collections.Counter()
     for number, (what, size) in enumerate(mishaps):
         folder = tmp_path / f"run{number}"
@@ -496,7 +520,9 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
             if what in sizes:
                 counted(rig.ports[list(sizes).index(what)], int(size))
             else:
-                acting(runner, (once_turning(rig, runner), partial(runner.clock.sleep, size)))
+                away = lambda rig=rig, runner=runner: rig.axis.spin(runner.clock.now(), 700.0, 1e5)  # noqa: E731
+                mishap = partial(runner.clock.sleep, size) if what == "host" else away
+                acting(runner, (once_turning(rig, runner), mishap))
             result = runner.run()
             assert result.verified_safe, (what, size, result)
             assert rig.axis.state(runner.clock.now())[1] == 0.0
@@ -506,12 +532,13 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
         else:
             assert result.reason, (what, size)
         ended[what, result.exit_status] += 1
+    assert ended["run-away axis", "aborted"] == 2
     assert sum(count for (what, how), count in ended.items() if how == "success") > 0.5 * len(mishaps)
     said = [f"{what}: {ended[what, 'success']} done, {ended[what, 'aborted']} ended" for what, _ in dict(ended)]
     record(
         "whole runs with one mishap each",
         f"a command lost (of {', '.join(f'{size} to the {name}' for name, size in sizes.items())}), a host that sleeps "
-        f"1 to 90 s in a turn; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
+        f"1 to 90 s in a turn, an axis that runs away; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
         "done was executed as written; every other one says why, all safe, verified",
         "tests/hardware/test_mishaps.py",
     )

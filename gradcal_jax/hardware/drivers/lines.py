@@ -29,6 +29,8 @@ from gradcal_jax.tables.quantity import Angle, Quantity, Time
 _POLL_S = 0.05
 _STOPS_AGAIN_S, _LONGEST_STOP_S = 1.0, 30.0
 _RATE_OVER_S = 0.4
+# How far the angle of an axis that stands may seem to go meanwhile.
+_STILL_DEG = 0.2
 _pattern = cache(reply_pattern)
 
 
@@ -330,9 +332,14 @@ class LinesAxis(DescribedDevice, MotionAxis):
             if lack := self._config.lacks_for(policy):
                 raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
             self._switch("off", "powered", False)
+        before_deg = self.read().position_deg
+        self._clock.sleep(_RATE_OVER_S)
         reading = self.read()
-        state = "; ".join(reading.faults) or "no faults"
-        return SafeReport(not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+        went_deg, state = abs(reading.position_deg - before_deg), "; ".join(reading.faults) or "no faults"
+        if went_deg > _STILL_DEG:
+            state = f"but went {went_deg:.1f} deg in {_RATE_OVER_S:g} s: it turns, whatever it reports; {state}"
+        stands = not reading.moving and went_deg <= _STILL_DEG
+        return SafeReport(stands, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     @property
     def _zero_deg(self) -> float:

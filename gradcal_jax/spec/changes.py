@@ -76,16 +76,23 @@ def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict
 def _put(tables: dict[str, Any], key: Key, value: object) -> None:
     here: Any = tables
     for depth, part in enumerate(key):
-        fits = isinstance(here, dict) if isinstance(part, str) else isinstance(here, list) and part < len(here)
-        if not fits:
+        last = depth == len(key) - 1
+        if isinstance(part, str) and isinstance(here, dict):
+            table = cast("dict[str, Any]", here)
+            if not last:
+                here = table.setdefault(part, {})
+            elif value is None:
+                table.pop(part, None)
+            else:
+                table[part] = copy.deepcopy(value)
+        elif isinstance(part, int) and isinstance(here, list) and part < len(rows := cast("list[Any]", here)):
+            if last:
+                rows[part] = copy.deepcopy(value)
+            else:
+                here = rows[part]
+        else:
             message = "there is no such place: the key above is no table, or its list is shorter (entries count from 0)"
             raise SpecError([Problem(key[: depth + 1], message)])
-        if depth < len(key) - 1:
-            here = here.setdefault(part, {}) if isinstance(here, dict) else here[part]
-        elif value is None and isinstance(here, dict):
-            here.pop(part, None)
-        else:
-            here[part] = copy.deepcopy(value)
 
 
 def differences(before: Any, after: Any, key: Key) -> Iterator[tuple[Key, Any, Any]]:

@@ -6,7 +6,7 @@ slope over temperature and of its sensitivity to dT/dt.
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Final, Generic, Literal, cast
+from typing import Annotated, ClassVar, Final, Generic, Literal, TypeVar, cast
 
 from pydantic import Discriminator, Field, Tag
 
@@ -86,7 +86,8 @@ class EstimatedTerm(Section, Generic[Value]):
         return math.prod(basis.size for basis in self._bases.values())
 
     def _problems(self) -> Iterator[Problem]:
-        if isinstance(self.prior, tuple) and len(cast("tuple[Any, ...]", self.prior)) != self.size:
+        prior: object = self.prior
+        if isinstance(prior, tuple) and len(cast("tuple[object, ...]", prior)) != self.size:
             message = f"expected one figure for all coefficients, or {self.size}, one for each coefficient"
             yield Problem(("prior",), message)
 
@@ -121,14 +122,17 @@ class ScaleFactorDiscrepancy(HiddenStructure[q.ScaleFactor]):
     """Highest degree in rate of the hidden polynomials."""
 
 
-class GyroMap(EstimatedTerm[Value], Generic[Value]):
+Hidden = TypeVar("Hidden")
+
+
+class GyroMap(EstimatedTerm[Value], Generic[Value, Hidden]):
     """A map of a gyro."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
     smoothness: q.Positive[Value] | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
-    discrepancy: HiddenStructure[Value] | None = None
+    discrepancy: Hidden | None = None
     """Possible structure of the map beyond its basis."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -144,21 +148,22 @@ class GyroMap(EstimatedTerm[Value], Generic[Value]):
             yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
 
 
-class Bias(GyroMap[q.Rate]):
+class Bias(GyroMap[q.Rate, HiddenStructure[q.Rate]]):
     """The estimated bias B(T)."""
 
 
-class ScaleFactor(GyroMap[q.ScaleFactor]):
+class ScaleFactor(GyroMap[q.ScaleFactor, ScaleFactorDiscrepancy]):
     """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
     rate."""
 
     rate: RateBasis
     """Basis over rate."""
-    discrepancy: ScaleFactorDiscrepancy | None = None
 
 
-class GSensitivity(ConstantTerm[q.Rate]):
+class GSensitivity(Section):
     """Bias of a gyro in proportion to the specific force, with three coefficients for each gyro (IEEE 528)."""
+
+    temperature: ClassVar[None] = None
 
     prior: q.PositiveAccelerationSensitivity | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
@@ -210,16 +215,16 @@ class Triad(path_terms.TemperaturePath[Slope], Generic[Value, Slope, Gradient]):
     """Directions of the input axes: small angles towards the other two axes."""
 
     @property
-    def gradient_sensitivity(self) -> Any:
+    def gradient_sensitivity(self) -> BiasTemperatureGradient[Gradient] | None:
         """The sensitivity to dT/dt, where one is estimated."""
-        of = self.bias_temperature_gradient
+        of = cast("BiasTemperatureGradient[Gradient] | q.Quantity | None", self.bias_temperature_gradient)
         return of if isinstance(of, BiasTemperatureGradient) and of.prior != 0.0 else None
 
     @property
     def gradient_std(self) -> float:
         """Standard deviation of the sensitivity to dT/dt before any estimate, of the bias for K/s; 0: none, or
         unknown."""
-        of: Any = self.bias_temperature_gradient
+        of = cast("BiasTemperatureGradient[q.Quantity] | q.Quantity | None", self.bias_temperature_gradient)
         return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
 
 

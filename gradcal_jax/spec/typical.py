@@ -221,12 +221,13 @@ def filled(part: Part, terms: Iterable[TypicalTerm], *, named: bool) -> Part:
     return part
 
 
-def _put(part: Any, key: Key, values: Mapping[str, Any], named: bool) -> Any:
+def _put(part: Section | tuple[Section, ...], key: Key, values: dict[str, Any], named: bool) -> Any:
     """A table, or a list of tables, with values in the table at `key` below it."""
-    if key and isinstance(key[0], int):
+    if isinstance(part, tuple):
         return tuple(_put(one, key[1:], values, named) if k == key[0] else one for k, one in enumerate(part))
     if key:
-        changes = {key[0]: _put(getattr(part, key[0]), key[1:], values, named)}
+        name = str(key[0])
+        changes = {name: _put(getattr(part, name), key[1:], values, named)}
     else:
         whole = type(part).model_validate(part.model_dump(mode="json", exclude_unset=True) | values)
         changes = {name: getattr(whole, name) for name in values}

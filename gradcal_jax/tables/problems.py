@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -86,9 +86,9 @@ def dotted(key: Key) -> str:
 def leaves(value: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
     """Every value in tables and lists that is neither, with its key."""
     if isinstance(value, Mapping):
-        entries: Iterable[tuple[Any, object]] = value.items()
+        entries: Iterable[tuple[str | int, object]] = cast("Mapping[str, object]", value).items()
     elif isinstance(value, list):
-        entries = enumerate(value)
+        entries = enumerate(cast("list[object]", value))
     else:
         yield key, value
         return

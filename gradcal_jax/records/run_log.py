@@ -14,6 +14,7 @@ than one of an hour.
 
 import itertools
 import time
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -184,15 +185,16 @@ def _joined(
     standing, spins = 0, True
     for part in parts:
         own, events = rows[part.first : part.end], part.session.events
-        host = own["host_s"].copy()
+        # (A view: searches are by `bisect`, because those of NumPy copy it whole.)
+        host = own["host_s"]
         for first_s, mounting in part.session.mountings():
-            own["mounting"][int(np.searchsorted(host, first_s)) :] = mounting - 1
+            own["mounting"][bisect_left(host, first_s) :] = mounting - 1
         courses = [course_of(events, axis) for axis in axes]
         # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
         unsure_s = part.clock.residual_max_s
         for start_s, end_s in standstills(courses, max((event.time_s for event in events), default=0.0)):
-            low = int(np.searchsorted(host, start_s + SETTLED_S + part.sample_s + unsure_s))
-            high = int(np.searchsorted(host, end_s - MARGIN_S - unsure_s))
+            low = bisect_left(host, start_s + SETTLED_S + part.sample_s + unsure_s)
+            high = bisect_left(host, end_s - MARGIN_S - unsure_s)
             # Of a standstill that a pause cut short no row may be left.
             if low < high:
                 own["standstill"][low:high] = standing
@@ -207,7 +209,7 @@ def _joined(
     _place(rows, parts)
     # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
     placed = [replace(one, time_s=rows["time_s"][one.row] + since_s) for one, since_s in readings]
-    has_forces = bool(np.isfinite(rows["force"]).any())
+    has_forces = any(np.isfinite(rows["force"][:, k]).any() for k in range(3))
     return Log(
         time_s=rows["time_s"],
         rate_rad_per_s=rows["rate"][None],

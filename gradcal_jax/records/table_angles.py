@@ -1,6 +1,7 @@
 """The angles of a run's table, from the events of its journal: how long each axis is held, standstills, readings."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -123,7 +124,7 @@ def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float)
     rows: list[tuple[float, int, float, int]] = []
 
     def add(reading: Reading, at_s: float, near_s: float, *, next_row: bool = False) -> None:
-        row = int(np.searchsorted(host, at_s))
+        row = bisect_left(host, at_s)
         if not next_row and row > 0 and (row == len(host) or at_s - host[row - 1] < host[row] - at_s):
             row -= 1
         # Where no samples are near, the reading has no row.
@@ -146,7 +147,7 @@ def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float)
                 at_s = min(max(reading.time_s, begin_s), end_s)
                 add(reading, at_s, near_s, next_row=at_s < end_s)
         if len(rows) == count and begin_s < end_s:
-            row = min(int(np.searchsorted(host, max(held.readings[-1].time_s, begin_s))), len(host) - 1)
+            row = min(bisect_left(host, max(held.readings[-1].time_s, begin_s)), len(host) - 1)
             at_s = float(host[row]) + 2.0 * SETTLED_S
             add(held.readings[-1], at_s, end_s - at_s, next_row=True)
     times, at, angles, kinds = np.array(rows).reshape(-1, 4).T

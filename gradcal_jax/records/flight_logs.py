@@ -192,8 +192,8 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
     n = number + 1
     if np.any(in_force(f"INS_TCAL{n}_ENABLE", time, 0.0) == 1.0):
         raise LogError(
-            f"ArduPilot has applied a thermal calibration to IMU{number} (INS_TCAL{n}_ENABLE = 1): set it to 0 (or 2, "
-            "to learn), and log again"
+            f"ArduPilot has applied a thermal calibration to IMU{number} (INS_TCAL{n}_ENABLE = 1): set it to 0 (2 "
+            "becomes 1 when ArduPilot has learnt), and log again"
         )
     board = in_force("AHRS_ORIENTATION", time, 0.0)
     if np.ptp(board) > 0.0:

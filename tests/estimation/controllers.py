@@ -23,7 +23,7 @@ def px4(values, axis, temperature, number=0, kind="gyro"):
 
 
 def ardupilot(values, axis, temperature, number=1, kind="gyro"):
-    """The polynomial less its value at CALTEMP, and the offset; not the scale of accelerometers."""
+    """The polynomial, if enabled, less its value at CALTEMP, and the offset; not the scale of accelerometers."""
     kind = "GYR" if kind == "gyro" else "ACC"
     f = lambda name: F(values.get(f"INS_{name}", 0.0))  # noqa: E731
     low, high = f(f"TCAL{number}_TMIN"), f(f"TCAL{number}_TMAX")
@@ -34,7 +34,8 @@ def ardupilot(values, axis, temperature, number=1, kind="gyro"):
 
     at = polynomial(f(f"{kind}{number}_CALTEMP"))
     offset = f(f"{kind}{number if number > 1 else ''}OFFS_{'XYZ'[axis]}")
-    return (polynomial(temperature) - at + offset).astype(float)
+    enabled = f(f"TCAL{number}_ENABLE") == 1.0
+    return (enabled * (polynomial(temperature) - at) + offset).astype(float)
 
 
 TAKEN_OFF = {"px4": px4, "ardupilot": ardupilot}

@@ -69,10 +69,11 @@ def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
 
 @pytest.mark.long
 def test_ardupilot_from_its_log_to_its_parameters(tmp_path):
-    """A log that was corrected by other parameters on the way: they are undone, and the new ones are within their σ."""
+    """A log while ArduPilot learns: its offset is undone, what it has learnt so far is not applied, the new parameters
+    are within their σ."""
     bias, (time, temperature) = gyros(3), warming(2400.0, 25.0)
     old = {
-        "AHRS_ORIENTATION": 0.0, "INS_TCAL1_ENABLE": 1.0, "INS_TCAL1_TMIN": 20.0, "INS_TCAL1_TMAX": 45.0,
+        "AHRS_ORIENTATION": 0.0, "INS_TCAL1_ENABLE": 2.0, "INS_TCAL1_TMIN": 20.0, "INS_TCAL1_TMAX": 45.0,
         "INS_GYR1_CALTEMP": 31.0, "INS_TCAL1_GYR1_X": 90.0, "INS_TCAL1_GYR2_Y": -3.0, "INS_GYROFFS_Z": 0.004,
     }  # fmt: skip
     taken = np.stack([ardupilot(old, axis, temperature) for axis in range(3)], axis=1)

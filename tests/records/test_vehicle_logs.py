@@ -135,8 +135,16 @@ def test_what_ardupilot_took_off_is_put_back(tmp_path):
     np.testing.assert_allclose(read_vehicle_log(path, unit="IMU1").rate_rad_per_s[0], raw, atol=5e-7)
 
 
+LEARNT = [(0, "INS_TCAL1_ENABLE", 2.0), (int(STAMPS_US[ROWS // 2]), "INS_TCAL1_ENABLE", 1.0)]
+
+
 @pytest.mark.parametrize(
-    ("parameters", "words"), [({}, "no parameters"), ({"INS_TCAL1_ENABLE": 1.0}, "set it to 0 .* and log again")]
+    ("parameters", "words"),
+    [
+        ({}, "no parameters"),
+        ({"INS_TCAL1_ENABLE": 1.0}, "set it to 0 .* and log again"),
+        (LEARNT, "set it to 0 .* and log again"),
+    ],
 )
 def test_what_cannot_be_put_back_is_refused(tmp_path, parameters, words):
     path = dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), parameters)

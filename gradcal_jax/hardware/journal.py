@@ -189,13 +189,14 @@ class Journal(AbstractContextManager["Journal"]):
         return True
 
     def _write_on(self) -> None:
-        """The writer's thread: write all waiting records at once, sync on request and once a second."""
-        synced_s, dirty, closing = time.monotonic(), False, False
-        while not (closing or self._problem):
+        """The writer's thread: write all waiting records at once, sync on request and once a second. What waits when a
+        problem comes is written last, if the disk can; nothing follows a record that failed."""
+        synced_s, dirty, ends = time.monotonic(), False, False
+        while not ends:
             self._wake.wait(max(0.0, synced_s + _SYNC_EVERY_S - time.monotonic()) if dirty else None)
             self._wake.clear()
-            closing = self._closing
             with self._lock:
+                ends = self._closing or bool(self._problem)
                 batch, self._waiting, self._waiting_bytes = b"".join(self._waiting), [], 0
                 waiters, self._waiters = self._waiters, []
             try:
@@ -204,13 +205,14 @@ class Journal(AbstractContextManager["Journal"]):
                 while batch:
                     batch = batch[os.write(self._file, batch) :]
                     self._busy_since_s = time.monotonic()
-                if dirty and (waiters or closing or time.monotonic() >= synced_s + _SYNC_EVERY_S):
+                if dirty and (waiters or ends or time.monotonic() >= synced_s + _SYNC_EVERY_S):
                     os.fsync(self._file)
                     self._busy_since_s = time.monotonic()
                     self.free_bytes = self._free()
                     synced_s, dirty = time.monotonic(), False
                 self._busy_since_s = None
             except Exception as problem:
+                ends = True
                 full = isinstance(problem, OSError) and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
                 self._fail("the disk is full" if full else f"{getattr(problem, 'strerror', None) or problem}")
             for waiter in waiters:

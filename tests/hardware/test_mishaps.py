@@ -19,7 +19,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, acting, at, ends_aborted, events, in_step, running, short_recipe, short_track
+from hardware_bench import Rig, acting, at, chunks_of, ends_aborted, events, in_step, running, short_recipe, short_track
 from hardware_evidence import record
 from simulated_devices.faults import Faults
 from simulated_devices.wire import Wire
@@ -448,9 +448,10 @@ def test_attempts_that_the_run_refused_are_no_data() -> None:
 
 @pytest.mark.parametrize("call", ["write", "fsync"])
 def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path: Path, monkeypatch: Any, call: str) -> None:
-    hangs, real = threading.Event(), getattr(os, call)
+    began, hangs, real = threading.Event(), threading.Event(), getattr(os, call)
 
     def stuck(*args: Any) -> Any:
+        began.set()
         hangs.wait(20.0)
         return real(*args)
 
@@ -459,11 +460,15 @@ def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path: Path, mo
         written.event(0.0, "before")
         monkeypatch.setattr(os, call, stuck)
         written.bytes_of("unit1", 1.0, b"a", received=True)
+        assert began.wait(5.0)
+        written.bytes_of("unit1", 2.0, b"b", received=True)
         end = time.monotonic() + 5.0
         while not written.problem and time.monotonic() < end:
             time.sleep(0.05)
         hangs.set()
         assert "the disk has not answered" in written.problem
+    # What came before that was noticed is not lost if the disk answers again.
+    assert [chunk.data for chunk in chunks_of(read_journal(tmp_path / "journal"), "unit1")] == [b"a", b"b"]
 
 
 def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_path: Path, monkeypatch: Any) -> None:

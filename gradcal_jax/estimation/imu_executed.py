@@ -34,6 +34,8 @@ _SLOW_S = 0.06
 # Least change of an axis's angle (rad) that counts as a turn; and that of two single readings, which have their own
 # noise.
 _LEAST_TURN, _TURNED = np.radians(0.05), np.radians(1.0)
+# A stop is read within this time of where the gyros see it.
+_LATE_S = 0.5
 # The gyros' integral over a move differs from the table's angle by at most a share and this angle (rad).
 _BIAS = np.radians(3.0)
 
@@ -114,11 +116,16 @@ def _legs(
         # moved.
         return [_Leg(-1, last, first)]
     legs, begin, seen = list[_Leg](), last, np.isfinite(quiet)
-    for since, axis in np.argwhere(np.isfinite(log.angles[last + 1 : first]) & log.at_a_stop[last + 1 : first, None]):
-        row = int(since) + last + 1
+    read = np.argwhere(np.isfinite(log.angles[last + 1 : first]) & log.at_a_stop[last + 1 : first, None])
+    moved = log.rates[last + 1 : first + 1, seen] - quiet[seen]
+    still = last + np.array(stops_between(moved) if len(read) else [], np.int64)
+    for since, axis in read.tolist():
+        row = since + last + 1
         if abs(log.angles[row, axis] - at[axis]) > _TURNED:
-            legs.append(_Leg(int(axis), begin, row))
-            begin, at[axis] = row, log.angles[row, axis]
+            at[axis] = log.angles[row, axis]
+            end = _stop_near(log.time_s, row, still[still > begin])
+            legs.append(_Leg(axis, begin, end))
+            begin = end
     turned = np.flatnonzero(np.abs(goal - at) > _LEAST_TURN)
     if len(turned) == 1 or not seen.any():
         return [*legs, _Leg(int(turned[0]) if len(turned) == 1 else -1, begin, first)]
@@ -141,6 +148,13 @@ def _legs(
             "the spec, with its axes in the same order, and the mounting of the spec?"
         )
     return legs + felt
+
+
+def _stop_near(time_s: np.ndarray, row: int, still: np.ndarray) -> int:
+    """The row at which the gyros see the stop that was read at `row`, of those at which they see one: the stamps of a
+    busy computer's readings and samples are late by different times."""
+    near = still[np.abs(time_s[still] - time_s[row]) < _LATE_S]
+    return int(near[np.argmin(np.abs(near - row))]) if len(near) else row
 
 
 def _own_angles(

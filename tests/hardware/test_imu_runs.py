@@ -103,6 +103,24 @@ def test_an_axis_that_is_not_read_before_a_break_stands_as_before_and_not_as_beh
     np.testing.assert_allclose(found[:stands], whole[:stands], rtol=0.0, atol=np.radians(0.02))
 
 
+@pytest.mark.parametrize("late", [-8, 8])
+def test_a_stop_of_an_instant_is_where_the_gyros_see_it_whenever_it_was_read(ran: tuple[Path, Log], late: int) -> None:
+    """A busy computer's stamps of readings and of samples are late by different times."""
+    folder, log = ran
+    built = build_imu(RunFolder(folder).recipe().spec)
+    rows, _ = imu_rows(built, [log], "unit2", Options())
+    stops = np.flatnonzero(np.isfinite(rows.angles).any(axis=1) & rows.at_a_stop & ~rows.standing)
+    angles, at_a_stop = rows.angles.copy(), rows.at_a_stop.copy()
+    angles[stops], at_a_stop[stops] = np.nan, False
+    angles[stops + late], at_a_stop[stops + late] = rows.angles[stops], True
+    on_time, shifted = (
+        executed_imu(one, built.motion.geometry).rows
+        for one in (rows, rows._replace(angles=angles, at_a_stop=at_a_stop))
+    )
+    assert len(stops) >= 4
+    np.testing.assert_array_equal(shifted, on_time)
+
+
 def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     spec = parse_spec(presets.text("one-axis-table"))
     recipe = made(spec)

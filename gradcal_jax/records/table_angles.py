@@ -158,9 +158,10 @@ def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float)
 def held_rates(course: AxisCourse, times_s: Floats) -> Floats:
     """`(n,)`: the rate of an axis, rad/s: the commanded one of its spins, the reference of the standard method, zero
     where it stands, and straight lines between these."""
-    ends = np.array([(one.begin_s, min(one.end_s, float(times_s[-1]))) for one in course.held]).reshape(-1, 2)
-    rates = np.array([one.rate_dps for one in course.held])
-    before = ends[:, 0] < ends[:, 1]
-    if not before.any():
+    if not course.held:
         return np.zeros(len(times_s))
-    return np.radians(np.interp(times_s, ends[before].ravel(), np.repeat(rates[before], 2)))
+    # What stands only behind the last row is the end of the way there.
+    last_s = max(float(times_s[-1]), course.held[-1].begin_s)
+    ends = np.array([(one.begin_s, min(one.end_s, last_s)) for one in course.held])
+    rates = np.array([one.rate_dps for one in course.held])
+    return np.radians(np.interp(times_s, ends.ravel(), np.repeat(rates, 2)))

@@ -87,7 +87,10 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         path.write_text(quick, encoding="utf-8")
         assert main(["rig", "check", str(path), "--json"]) == 3
         reports = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)}
-        assert "ESPEC answered 'TYPE?' by 'ok'. Is it the right device?" in reports["chamber"]["problem"]
+        problem = reports["chamber"]["problem"]
+        assert problem.startswith("ESPEC at ")
+        assert "was sent 'TYPE?" in problem
+        assert "Check that the port belongs to this device" in problem
         assert "was sent '$I" in reports["x"]["problem"]
 
 

@@ -18,6 +18,7 @@ from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.records.log import Log
+from gradcal_jax.records.table_angles import AxisCourse, Held, held_rates
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 
 START_S = 1000.0
@@ -277,3 +278,9 @@ def test_a_unit_of_a_fast_clock_that_begins_anew_goes_on_where_the_computer_says
     assert log.time_s[start] - log.time_s[start - 1] == pytest.approx(by_sensor, abs=1e-6)
     # One seam a session, also of the session that gave no data, however many parts there are of it.
     assert (log.provenance["sessions"], log.provenance["seams"]) == ("2", "2")
+
+
+def test_a_table_that_stands_only_behind_the_last_row_slows_down_before():
+    spin, rest = Held(10.0, 20.0, 300.0), Held(23.0)
+    rates = np.degrees(held_rates(AxisCourse([spin, rest], []), np.array([12.0, 20.0, 21.0])))
+    assert rates == pytest.approx([300.0, 300.0, 200.0])

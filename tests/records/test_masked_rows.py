@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gradcal_jax.records.examination import Columns, examine
 from gradcal_jax.records.importers import import_log, parse_column_map
-from gradcal_jax.records.log import LogError
+from gradcal_jax.records.log import LogError, Reason
 from gradcal_jax.records.signal_checks import without_faults
 
 ROWS, HZ = 6000, 10.0
@@ -58,6 +58,16 @@ def test_masked_values_change_nothing(seed, rate, temperature):
     cleaned = [without_faults(log, at_rest=True)[0] for log in logs]
     np.testing.assert_array_equal(cleaned[0].rate_rad_per_s, cleaned[1].rate_rad_per_s)
     assert cleaned[0].bridged_temperature() == pytest.approx(cleaned[1].bridged_temperature(), abs=0.0)
+
+
+def test_false_readings_of_a_thermometer_leave_no_trace():
+    columns = warm_up(np.zeros(ROWS, bool), 0.0, 0.0)
+    for first in range(300, 5800, 250):
+        columns.values["temperature"][first : first + 10] = 85.0
+    log = examine(columns)
+    assert log.counts() == {"used": ROWS - 220, Reason.MISSING_TEMPERATURE.words: 220}
+    assert np.nanmax(log.temperature_c) <= 40.0
+    assert np.isnan(log.rate_rad_per_s[0, log.status[0] != 0]).all()
 
 
 def imported(folder: Path, time: np.ndarray, values: np.ndarray, text: str, name: str = "gx"):

@@ -1,6 +1,7 @@
 """The journal opens after anything; a rig is made safe whatever one device does; clocks are compared."""
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -277,3 +278,28 @@ def test_a_disk_that_fails_keeps_no_stop_off_the_wire(
         assert (result.exit_status, result.verified_safe) == ("aborted", True)
         assert ("Input/output error" if fate == "pulled" else "SIGTERM") in result.reason
         assert safe[0] - began[0] < 5.0
+
+
+def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    program = (
+        "import sys, pathlib; from gradcal_jax.hardware.journal import Journal\n"
+        "journal = Journal(pathlib.Path(sys.argv[1]))\n"
+        "for i in range(10**9):\n"
+        "    journal.bytes_of('unit', float(i), b'x' * 500, received=True)\n"
+        "    if i % 20 == 0:\n"
+        "        journal.event(float(i), 'step', number=i); print(i, flush=True)\n"
+    )
+    for attempt in range(3):
+        with subprocess.Popen([sys.executable, "-c", program, str(path)], stdout=subprocess.PIPE) as child:
+            assert child.stdout is not None
+            acknowledged = [int(child.stdout.readline()) for _ in range(5 + attempt)][-1]
+            child.send_signal(signal.SIGKILL)
+            child.wait()
+        contents = read_journal(path)
+        assert acknowledged in [event.data.get("number") for event in contents.events if event.name == "step"]
+        chunks = list(chunks_of(contents, "unit"))
+        assert (
+            sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
+        )
+        path.unlink()

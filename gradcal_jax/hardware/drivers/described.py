@@ -37,9 +37,9 @@ class DescribedOptions(DriverOptions):
     """Options of a device that is described."""
 
     kind: ClassVar[type[Section]]
-    protocol: Any = ""
+    protocol: str | dict[str, Any] = ""
     """Name of one of this program's descriptions, or the tables of one."""
-    changes: Any = None
+    changes: dict[str, Any] | None = None
     """Tables that differ from it; `false` in the place of one that is left out."""
 
     @cached_property
@@ -91,13 +91,13 @@ class Speaker(ABC):
         """The fields of these names, in this order; fields that the description lacks are absent."""
 
     @abstractmethod
-    def tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        """Send a command; returns its values as text."""
+    def tell(self, name: str, values: Mapping[str, float] | None = None) -> None:
+        """Send a command."""
 
     @abstractmethod
-    def tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
-        """Send a command's value, in the device's unit, until the device shows it; returns the value shown. `ramps`:
-        what is in force moves towards it."""
+    def tell_shown(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> float:
+        """Send a command, whose value is in the device's unit, until the device shows it; returns the value shown.
+        `ramps`: what is in force moves towards it."""
 
     @abstractmethod
     def step_of(self, command: str) -> float:
@@ -192,7 +192,7 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
             # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
         unit = self._said.units.ramp
-        shown = self._speaker.tell_shown("ramp", units.convert(rate_k_per_min, "K/min", unit))
+        shown = self._speaker.tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)})
         self._go_to(temperature_c, ramps=True)
         self._condition(True)
         return units.convert(shown, unit, "K/min")
@@ -204,15 +204,15 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
         self._free_ramp()
 
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
-        unit = self._said.units.temperature
-        self._speaker.tell_shown("setpoint", units.convert(temperature_c, "degC", unit), ramps=ramps)
+        value = units.convert(temperature_c, "degC", self._said.units.temperature)
+        self._speaker.tell_shown("setpoint", {"setpoint": value}, ramps=ramps)
 
     def _free_ramp(self) -> None:
         """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
         if "no_ramp" in self._said.tell:
             self._switch("no_ramp", "ramps", False)
         elif "ramp" in self._said.tell:
-            self._speaker.tell_shown("ramp", self._said.limits.free_ramp)
+            self._speaker.tell_shown("ramp", {"ramp": self._said.limits.free_ramp})
 
     def _condition(self, on: bool) -> None:
         if "on" in self._said.tell:

@@ -38,7 +38,6 @@ class SimulatedWatlowF4T(ModbusSlave):
     def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
         self.plant, self._clock, self.locked = plant, clock, False
         words = {4: 4, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251, 6730: 15}
-        words |= {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
         words |= {1356 + 100 * number: 88 for number in range(6)}
         super().__init__(words, tcp=True)
         self.memory = Memory(self.words)

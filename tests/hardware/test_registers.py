@@ -79,7 +79,7 @@ def test_a_chamber_from_its_description_alone() -> None:
         assert device.words[23] == 0
         # A register that takes no value: local mode.
         device.stuck.add(2)
-        with pytest.raises(NotVerified, match=r"oven: setpoint \(setpoint = 40\) was sent 3 times"):
+        with pytest.raises(NotVerified, match=r"oven: setpoint 40.0 was sent 3 times"):
             chamber.hold(40.0)
         device.words[1] = 30000
         with pytest.raises(FramingError, match="not plausible"):

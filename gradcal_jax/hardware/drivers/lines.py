@@ -124,11 +124,11 @@ class Lines(Speaker):
 
         return self.exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
-    def tell(self, name: str, values: Mapping[str, float] | None = None) -> None:
+    def tell(self, name: str, values: Mapping[str, float]) -> None:
         command = self.said.tell[name]
         longest_s = float(self.config.home_timeout) if command.reply_when_done else None
         for number, send in enumerate(command.send):
-            message = self._codec.message(formatted(send, values or {})[0], bare=command.bare)
+            message = self._codec.message(formatted(send, values)[0], bare=command.bare)
             if not command.reply:
                 self.exchange.write(message)
                 continue
@@ -152,17 +152,11 @@ class Lines(Speaker):
     def _acknowledges(self, text: str) -> bool:
         return any(_pattern(reply).fullmatch(text) for command in self.said.tell.values() for reply in command.reply)
 
-    def tell_shown(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> float:
+    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+        if not values:
+            return {}
         shown_by = self.said.tell[name].shown_by or ("target" if "target" in self.said.fields else "setpoint",)
-        value = self.text_of(name, values)
-        shown = command_and_verify(
-            self.clock,
-            f"{name} {value}",
-            lambda: self.tell(name, values),
-            lambda: self.read(*shown_by),
-            lambda texts: all(shows(value, texts[field]) for field in shown_by),
-        )
-        return float(shown[shown_by[0]])
+        return dict.fromkeys(shown_by, self.text_of(name, values))
 
     def text_of(self, command: str, values: Mapping[str, float]) -> str:
         """The text of the value of a command that has one."""
@@ -176,7 +170,7 @@ class Lines(Speaker):
     def home(self) -> None:
         self._homes, self._cut_short = True, False
         try:
-            self.tell("home")
+            self.tell("home", {})
         finally:
             self._homes = False
 
@@ -304,7 +298,7 @@ class LinesAxis(DescribedDevice, MotionAxis):
         self._speaker.stop_homing()
         while True:
             try:
-                self._speaker.tell("stop")
+                self._speaker.tell("stop", {})
             except (ReplyTimeout, FramingError):
                 if self._clock.now() > end_s:
                     raise

@@ -13,7 +13,6 @@ from typing import Annotated
 from pydantic import Field
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import command_and_verify
 from gradcal_jax.hardware.drivers.described import DescribedChamber, RequestOptions, Speaker, Texts
 from gradcal_jax.hardware.errors import FramingError, LimitExceeded
 from gradcal_jax.hardware.modbus import Rtu, Tcp, read_body, words_of, write_body
@@ -21,7 +20,7 @@ from gradcal_jax.hardware.register_protocol import Register, RegisterProtocol
 from gradcal_jax.hardware.request_reply import Exchange
 
 # Of floats so many decimals are read.
-_OF_FLOATS, _FINEST_DECIMALS = 4, 3
+_OF_FLOATS = 4
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 
 
@@ -50,54 +49,34 @@ class Registers(Speaker):
         self._modbus = (Tcp if self.said.line.transport == "tcp" else Rtu)(config.address)
 
     def read(self, *names: str) -> Texts:
-        return {name: self._text(self.said.registers[name]) for name in names if name in self.said.registers}
+        known = self.said.registers
+        return {name: _text(known[name], self._number(known[name])) for name in names if name in known}
 
-    def tell(self, name: str, values: Mapping[str, float] | None = None) -> None:
-        self.tell_shown(name, values or {})
-
-    def tell_shown(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> float:
-        """Write the registers of a command, one after the other, each until it is shown: where it was written, or by
-        the register that shows its effect, but not by one that only moves towards it (`ramps`)."""
-        result = 0.0
+    def tell(self, name: str, values: Mapping[str, float]) -> None:
         for register, value in self.said.tell[name].items():
             entry = self.said.registers[register]
-            number = values[name] if isinstance(value, str) else float(value)
-            shown_in = entry if ramps or entry.shown_in is None else self.said.registers[entry.shown_in]
-            written = self._write(f"{self.title}: {name} ({register} = {number:g})", entry, number, shown_in)
-            if isinstance(value, str):
-                result = written
-        return result
+            number = values[name] if isinstance(value, str) else value
+            if entry.type != "float32":
+                number = round(number * 10.0**entry.decimals)
+            try:
+                data = struct.pack(_FORMATS[entry.type], number)
+            except (struct.error, OverflowError):
+                raise LimitExceeded(f"{self.title}: {number:g} does not fit the register {register}.") from None
+            words = struct.unpack(f">{len(data) // 2}H", data)
+            self._query(write_body(entry.address, self._ordered(words)), repeat=False)
+
+    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+        texts: Texts = {}
+        for register, value in sorted(self.said.tell[name].items(), key=lambda item: not isinstance(item[1], str)):
+            field = register if ramps else self.said.registers[register].shown_in or register
+            number = values[name] if isinstance(value, str) else value
+            texts[field] = _text(self.said.registers[field], number)
+        return texts
 
     def step_of(self, command: str) -> float:
         (name,) = (name for name, written in self.said.tell[command].items() if isinstance(written, str))
         entry = self.said.registers[name]
         return 0.0 if entry.type == "float32" else 10.0**-entry.decimals
-
-    def _write(self, what: str, entry: Register, value: float, shown_in: Register) -> float:
-        """Write a number until it is shown; returns it as the device rounds it."""
-        number, factor = value, 10.0**entry.decimals
-        if entry.type != "float32":
-            number = round(value * factor)
-            value = number / factor
-        try:
-            data = struct.pack(_FORMATS[entry.type], number)
-        except (struct.error, OverflowError):
-            raise LimitExceeded(f"{what}: the number does not fit the register.") from None
-        words = struct.unpack(f">{len(data) // 2}H", data)
-        body = write_body(entry.address, self._ordered(words))
-        near = 0.51 * 10.0 ** -min(_decimals(entry), _FINEST_DECIMALS)
-        command_and_verify(
-            self.clock,
-            what,
-            lambda: self._query(body, repeat=False),
-            lambda: self._number(shown_in),
-            lambda shown: abs(shown - value) <= near,
-        )
-        return value
-
-    def _text(self, entry: Register) -> str:
-        text = f"{self._number(entry):.{_decimals(entry)}f}"
-        return entry.codes.get(text, text)
 
     def _number(self, entry: Register) -> float:
         form = _FORMATS[entry.type]
@@ -116,5 +95,6 @@ class Registers(Speaker):
         return self.exchange.query(self._modbus.message(body), parse, repeat=repeat)
 
 
-def _decimals(entry: Register) -> int:
-    return _OF_FLOATS if entry.type == "float32" else entry.decimals
+def _text(entry: Register, number: float) -> str:
+    text = f"{number:.{_OF_FLOATS if entry.type == 'float32' else entry.decimals}f}"
+    return entry.codes.get(text, text)

@@ -37,7 +37,7 @@ class CrcOfRows:
         self._last, self._init = register, np.array(init)
         for _ in range(zeros):
             self._last, self._init = self._shifted(self._last), self._shifted(self._init)
-        # By the length of rows: what each byte contributes `(length, 256)`, and what `init` does.
+        # By the length of rows: what each byte contributes `(length · 256,)`, and what `init` does.
         self._parts: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
     def __call__(self, rows: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -47,9 +47,10 @@ class CrcOfRows:
             begun, parts = self._shifted(self._init), [self._last]
             while len(parts) < length:
                 begun, parts = self._shifted(begun), [self._shifted(parts[0]), *parts]
-            self._parts[length] = np.array(parts), begun ^ self._xorout
+            self._parts[length] = np.concatenate(parts), begun ^ self._xorout
         parts, begun = self._parts[length]
-        return np.bitwise_xor.reduce(parts[np.arange(length), rows], axis=1) ^ begun
+        places: NDArray[np.int64] = rows.T + np.arange(0, 256 * length, 256)[:, None]
+        return np.bitwise_xor.reduce(parts.take(places), axis=0) ^ begun
 
     def _shifted(self, register: NDArray[np.int64]) -> NDArray[np.int64]:
         """The register after a zero byte."""

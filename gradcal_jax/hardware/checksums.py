@@ -49,7 +49,7 @@ class CrcOfRows:
                 begun, parts = self._shifted(begun), [self._shifted(parts[0]), *parts]
             self._parts[length] = np.concatenate(parts), begun ^ self._xorout
         parts, begun = self._parts[length]
-        places: NDArray[np.int64] = rows.T + np.arange(0, 256 * length, 256)[:, None]
+        places: NDArray[np.int64] = rows.T + 256 * np.arange(length, dtype=np.int64)[:, None]
         return np.bitwise_xor.reduce(parts.take(places), axis=0) ^ begun
 
     def _shifted(self, register: NDArray[np.int64]) -> NDArray[np.int64]:

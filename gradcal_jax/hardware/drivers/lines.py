@@ -10,6 +10,7 @@ Unverified on real hardware: everything; each description says what its sources 
 import math
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, cached_property, partial
 from typing import Literal
 
@@ -296,19 +297,15 @@ class LinesAxis(DescribedDevice, MotionAxis):
         # A stop is harmless when repeated: it is sent until the axis stands.
         end_s = self._clock.now() + _LONGEST_STOP_S
         self._speaker.stop_homing()
-        while True:
-            try:
+        while self._clock.now() <= end_s:
+            with suppress(ReplyTimeout, FramingError):
                 self._speaker.tell("stop", {})
-            except (ReplyTimeout, FramingError):
-                if self._clock.now() > end_s:
-                    raise
             again_s = self._clock.now() + _STOPS_AGAIN_S
             while self._clock.now() < again_s:
                 if not self.read().moving:
                     return
                 self._clock.sleep(_POLL_S)
-            if self._clock.now() > end_s:
-                raise NotVerified(f"The axis is still moving {_LONGEST_STOP_S:g} s after the stop command.")
+        raise NotVerified(f"The axis is still moving {_LONGEST_STOP_S:g} s after the stop command.")
 
     def safe(self, policy: str) -> SafeReport:
         self.stop()

@@ -335,13 +335,12 @@ class SimulatedLab:
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         # Each at its place of a fixture: there are as many as places.
-        places = spec.rig.table.place
-        names = [place.name for place in places] or [f"unit{number}" for number in range(1, units + 1)]
-        held = draw_places(spec, truth, seed)
+        held = draw_places(spec, truth, seed) or [truth] * units
+        names = [place.name for place in spec.rig.table.place] or [f"unit{k + 1}" for k in range(units)]
         self.units: dict[str, SimulatedImu] = {
             name: SimulatedImu(
                 draw_truth(spec, seed, number),
-                held[number - 1] if held else truth,
+                table,
                 climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
@@ -349,7 +348,7 @@ class SimulatedLab:
                 mounting=mounting,
                 start_s=now,
             )
-            for number, name in enumerate(names, start=1)
+            for number, (name, table) in enumerate(zip(names, held, strict=True), start=1)
         }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 

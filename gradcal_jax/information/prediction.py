@@ -22,7 +22,7 @@ from gradcal_jax.information.verdicts import (
 )
 from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike, imu_posterior
 from gradcal_jax.spec.absent import absent_terms, with_typical
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
@@ -141,8 +141,6 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         more["another_run"] = judged.statistic()
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     rates = left.rates
-    if isinstance(requirement, MissionHeadingRequirement):
-        rates = np.array([float(rate) for rate in requirement.rate])
     axis, target, worst = judged.worst_axis(), target_of(requirement), judged.statistic("max")
     return RequirementRow(
         **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic", "axis", "coverage")},

@@ -17,7 +17,6 @@ PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
 UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),
-    "mission_heading": ("deg", float(np.degrees(1.0))),
     "gyro_bias": ("deg/h", DEG_PER_H),
     "gyro_scale_factor": ("ppm", PPM),
     "gyro_misalignment": ("urad", 1e6),

@@ -4,8 +4,7 @@ import contextlib
 import os
 from typing import Final
 
-from gradcal_jax.spec.motion_plan import row_count
-from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.schedule import StandardSchedule, row_count
 from gradcal_jax.spec.spec_sections import Spec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.

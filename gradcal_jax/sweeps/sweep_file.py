@@ -16,7 +16,6 @@ from gradcal_jax import units
 from gradcal_jax.recipe.recipe import spec_of_either
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed, split_key, tables_of
-from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.document import TitledFile, parsed, read_text, read_toml
@@ -250,8 +249,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
-    with missions_from(Path(place).parent):
-        return spec_of_either(tables, place)
+    return spec_of_either(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

@@ -19,7 +19,7 @@ Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
 ImuQuantity = Literal[
     "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
-    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "mission_heading",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order",
 ]  # fmt: skip
 
 
@@ -33,7 +33,7 @@ class RequirementRow(Section):
     """Name of the requirement."""
     quantity: Literal["scale_factor", "bias"] | ImuQuantity
     """Quantity that the requirement limits."""
-    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
     """Axis; for an IMU, also how the elements of the quantity are combined."""

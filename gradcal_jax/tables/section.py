@@ -160,6 +160,19 @@ def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
     return BeforeValidator(chosen)
 
 
+def by_key(kinds: Mapping[str, type[Section]], expected: str, default: type[Section] | None = None) -> BeforeValidator:
+    """Marks a field that holds one of several tables: that of the first of these keys that it has, or the default."""
+
+    def choose(table: Mapping[str, object]) -> object:
+        kind = next((kind for key, kind in kinds.items() if key in table), default)
+        if kind is None:
+            refuse_misspelt(table, kinds)
+            raise ValueError(f"expected {expected}")
+        return kind.model_validate(table)
+
+    return read_by(choose)
+
+
 def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
     """Raise for the first key of a table that is nearly one of the keys that it lacks, if there is one."""
     for key, value in table.items():

@@ -7,7 +7,7 @@ import pytest
 
 from gradcal_jax.spec import presets
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.spec.motion_plan import row_count
+from gradcal_jax.spec.schedule import row_count
 from gradcal_jax.tables.problems import SpecError
 
 DEG = math.pi / 180.0

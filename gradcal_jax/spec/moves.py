@@ -166,15 +166,14 @@ class Turn(_Move):
         """The turn in SI; by hand with the operator's time (s) to read the request and to answer. Raises `SpecError`,
         keys relative to the move."""
         move, problems = self._by_hand(answer_time) if self.shape == "hand" else self._ramped(axis), list[Problem]()
+        of = f'of axis "{axis.name}"'
         if (fastest := max(move.fastest, float(self.peak_rate or 0.0))) > axis.max_rate * _ALMOST:
-            message = f'reaches {math.degrees(fastest):.5g} deg/s, more than max_rate of axis "{axis.name}", '
+            message = f"reaches {math.degrees(fastest):.5g} deg/s, which exceeds max_rate {of}, {axis.max_rate}"
             key = () if self.peak_rate is None else ("peak_rate",)
-            problems.append(Problem(key, f"{message}{axis.max_rate}", str(self.peak_rate or move.words)))
+            problems.append(Problem(key, message, str(self.peak_rate or move.words)))
         if move.peak_acceleration > axis.max_acceleration * _ALMOST:
-            message = (
-                f"accelerates at {math.degrees(move.peak_acceleration):.5g} deg/s^2, more than max_acceleration of "
-            )
-            problems.append(Problem((), f'{message}axis "{axis.name}", {axis.max_acceleration}', move.words))
+            message = f"accelerates at {math.degrees(move.peak_acceleration):.5g} deg/s^2, which exceeds "
+            problems.append(Problem((), f"{message}max_acceleration {of}, {axis.max_acceleration}", move.words))
         refuse(*problems)
         return move
 

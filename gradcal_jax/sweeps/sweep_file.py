@@ -118,7 +118,8 @@ class SweptAxis(Section):
             return self.values
         assert self.count is not None
         spaced = np.geomspace if self.spacing == "logarithmic" else np.linspace
-        numbers = [f"{number:.12g}" for number in spaced(*self._ends(), self.count).tolist()]
+        low, high = self._ends()
+        numbers = [f"{number:.12g}" for number in spaced(low, high, self.count).tolist()]
         if self.unit is not None:
             return tuple(f"{number} {self.unit}" for number in numbers)
         whole = all(isinstance(end, int) for end in (self.start, self.stop))

@@ -149,7 +149,7 @@ def test_a_programme_is_walked_segment_by_segment():
         (3, {"step_to": "-50 degC"}, "plan.programme[3].step_to"),
         (4, {"soak": "1 h", "at": "25 degC"}, "plan.programme[4].at"),
         (0, {"soak": "1 h"}, "plan.programme[0]"),
-        (1, {"ramp_to": "70 degC", "step_to": "70 degC"}, "plan.programme[1]"),
+        (1, {"ramp_to": "70 degC", "step_to": "70 degC"}, "plan.programme[1].step_to"),
         (1, {"rampto": "70 degC", "rate": "1 K/min"}, "plan.programme[1].rampto"),
         (1, {"ramp_to": "70 degC"}, "plan.programme[1].rate"),
         (1, "ramp", "plan.programme[1]"),

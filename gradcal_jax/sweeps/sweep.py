@@ -144,21 +144,6 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
         start().shutdown(kill_workers=True)
 
 
-@contextmanager
-def cluster_workers(address: str, timeout_s: float = 20.0) -> Iterator[Executors]:
-    """Workers of a Dask cluster (extra `cluster`). Errors: `ValueError` where no scheduler answers."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("install gradcal_jax[cluster] on this machine and on the cluster's workers") from None
-    try:
-        client = Client(address, timeout=timeout_s, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ValueError(f"no Dask scheduler answers at {address} ({error})") from None
-    with client:
-        yield lambda: client.get_executor(pure=False, retries=_TRIES - 1)
-
-
 def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: int) -> Iterator[tuple[int, Record]]:
     """The records of `tasks` as they are done, at most `most` at a time. The work of a killed worker is repeated; what
     kills several workers is left out."""
@@ -229,8 +214,9 @@ def sweep(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> xarray.Dataset:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`; a call after an interruption
-    resumes where it stopped. `workers`: executors, by default processes of this machine; `most`: how many points are
-    waiting at a time. Errors: `ValueError` where `output` exists, or every point fails; `SweepIncomplete`."""
+    resumes where it stopped. `workers`: gives an executor, such as that of a Dask client, by default processes of this
+    machine; `most`: how many points are waiting at a time. Errors: `ValueError` where `output` exists, or every point
+    fails; `SweepIncomplete`."""
     output = Path(output)
     if output.exists():
         raise ValueError(f"{output} exists; choose another output, or delete it")

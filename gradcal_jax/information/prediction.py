@@ -16,7 +16,6 @@ from gradcal_jax.information.verdicts import (
     finite,
     limit_of,
     run_of,
-    specific_risk,
     target_of,
     verdict_of,
 )
@@ -153,7 +152,6 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         worst=worst,
         verdict=verdict_of(requirement, judged.finite_statistic),
         rule=decision_rule(requirement) or None,
-        specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if axis is None else f"axis {axis}",
     )

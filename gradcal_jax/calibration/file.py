@@ -100,8 +100,6 @@ class PathCoefficient(Section):
     """SI unit of the estimate and its standard deviation."""
     width: q.PositiveTemperatureDifference | None = None
     """Half-width of the hysteresis (of its play); absent: the term is not a hysteresis."""
-    second_thermometer: q.Flag = False
-    """Whether the coefficient multiplies the difference between the second thermometer and the first."""
     own: q.Flag = False
     """Whether the coefficient belongs to an error class of your own; neither `apply` nor exports correct such
     errors."""

@@ -12,8 +12,8 @@ from gradcal_jax.units import time_text, times_text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gradcal_jax.spec.motion_plan import PlanSchedule
     from gradcal_jax.spec.moves import ResolvedMove
+    from gradcal_jax.spec.schedule import PlanSchedule
     from gradcal_jax.spec.spec_sections import Spec
 
 _MOST_ROWS: Final = 60
@@ -126,7 +126,7 @@ def summary(spec: "Spec") -> str:
 
 
 def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
-    from gradcal_jax.spec.motion_plan import duration_of, row_count
+    from gradcal_jax.spec.schedule import duration_of, row_count
 
     total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     table = spec.rig.table

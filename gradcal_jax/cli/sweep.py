@@ -1,4 +1,4 @@
-"""`gradcal sweep`: many plans, on the cores of this machine or of a cluster."""
+"""`gradcal sweep`: many plans, on the cores of this machine."""
 
 import sys
 from collections import Counter
@@ -35,7 +35,6 @@ def sweep(
     *,
     output: Output,
     workers: int | None = None,
-    scheduler: str | None = None,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -53,8 +52,6 @@ def sweep(
         The results to write (.nc).
     workers
         Number of worker processes on this computer; by default the number of its cores.
-    scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; by default the cores of this computer are used.
     json
         Print the summary as JSON.
     plot
@@ -73,9 +70,8 @@ def sweep(
         def show(done: int, total: int) -> None:
             line.show(f"{done} of {total} points", done / total, number=10 * done // total)
 
-        pool = room.local_workers(workers) if scheduler is None else room.cluster_workers(scheduler)
         try:
-            with pool as executors:
+            with room.local_workers(workers) as executors:
                 results = room.sweep(job, output, workers=executors, most=workers, progress=show)
         except room.SweepIncomplete as error:
             complain(str(error))

@@ -15,7 +15,7 @@ from gradcal_jax.information.verdicts import run_of
 from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.tables import results as results_of
-from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Table
@@ -29,7 +29,7 @@ class ResidualLeft(NamedTuple):
 
 
 def residuals_of(sources: Sources) -> list[ResidualLeft]:
-    """The residuals of all requirements of a plan but those of missions."""
+    """The residuals of all requirements of a plan."""
     spec = sources.spec
     if spec is None:
         return []
@@ -38,8 +38,6 @@ def residuals_of(sources: Sources) -> list[ResidualLeft]:
     achieved = None if sources.calibration is None else plan.achieved(sources.calibration)
     found: list[ResidualLeft] = []
     for requirement in spec.requirement:
-        if isinstance(requirement, MissionHeadingRequirement):
-            continue
         stages = {
             "before": plan.prior(requirement) if other is None else other.left(requirement),
             "predicted": plan.left(requirement),

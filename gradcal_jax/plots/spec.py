@@ -35,7 +35,7 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add a requirement")
     built = build_imu(spec)
     known = imu_posterior(built)
-    drawn = _with_map(spec)
+    drawn = spec.requirement
     count, across = len(drawn) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
     rows = -(-count // across)
     figure = new_figure(figure, (_PANEL[0] * across, _PANEL[1] * rows))
@@ -46,11 +46,6 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
     if spec.title:
         figure.suptitle(spec.title)
     return figure.get_figure(root=True)
-
-
-def _with_map(spec: Spec) -> list[Requirement]:
-    """The requirements of which there is a curve or a map: all but those of missions."""
-    return [r for r in spec.requirement if r.quantity != "mission_heading"]
 
 
 def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
@@ -69,7 +64,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFi
     element (such as an axis). Errors:
     `ValueError` without requirements."""
     plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
-    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in _with_map(built.spec)))
+    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0), figure)

@@ -17,7 +17,6 @@ from gradcal_jax import units
 from gradcal_jax.recipe.rounding import ControllerSteps
 from gradcal_jax.recipe.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.spec.changes import differences, tables_of
-from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import (
@@ -156,14 +155,12 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    with missions_from(Path(path).parent):
-        return spec_of_either(read_toml(read_text(path), str(path)), str(path))
+    return spec_of_either(read_toml(read_text(path), str(path)), str(path))
 
 
 def spec_or_recipe(path: str | Path) -> Spec | Recipe:
     """The spec or the recipe in a file. Raises `SpecError`."""
-    with missions_from(Path(path).parent):
-        return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
+    return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
 
 
 def spec_of_either(document: Mapping[str, Any], source: str = "") -> Spec:

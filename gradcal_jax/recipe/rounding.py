@@ -18,10 +18,9 @@ from gradcal_jax.formulas import repetitions
 from gradcal_jax.recipe.tracks import makeable_acceleration, trapezoid_acceleration
 from gradcal_jax.spec.bench import Resolution
 from gradcal_jax.spec.changes import differences, tables_of
-from gradcal_jax.spec.motion_plan import PlanSchedule, duration_of
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.schedule import Stretch
+from gradcal_jax.spec.schedule import PlanSchedule, Stretch, duration_of
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables import quantity as q

@@ -19,11 +19,10 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.spec.bench import Mounting, Rig
-from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.rig import Name
-from gradcal_jax.spec.schedule import Stretch, TemperatureSegment
+from gradcal_jax.spec.schedule import PlanSchedule, Stretch, TemperatureSegment
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.section import Section

@@ -143,7 +143,7 @@ def test_what_is_believed_is_said(spec):
     ("changes", "says"),
     [
         ({"design.free": ["programme"]}, "an axis that has the table in a few visits follows the programme"),
-        ({"design.max_motion": "50 s"}, "the moves"),
+        ({"design.max_motion": "50 s"}, "max_heating"),
         ({"design.max_motion": "40 min"}, "2.5 K/min"),
         ({"design.moves": 40, "design.shortest_rest": "4 s"}, "the moves need at least"),
     ],

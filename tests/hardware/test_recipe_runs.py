@@ -22,7 +22,7 @@ from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.tracks import tracks_of
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
+from gradcal_jax.spec.schedule import PlanSchedule, row_count
 from gradcal_jax.spec.spec import parse_spec
 
 SPEED = 20.0

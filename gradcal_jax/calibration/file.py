@@ -355,11 +355,6 @@ class Calibration(TitledFile):
         name = f"Calibration of {self.serial_number}" + ", SIMULATED" * self.simulated
         return [name, self.valid_range, *(f"contradicted: {test}" for test in self.contradicted)]
 
-    def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
-        """The failed tests of a channel, and those of all channels together."""
-        others = tuple(f"{c.name}: " for c in self.channel if c is not channel)
-        return tuple(name for name in self.contradicted if not name.startswith(others))
-
 
 def is_calibration(document: Mapping[str, Any]) -> bool:
     """Whether tables are those of a calibration file."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from gradcal_jax.design.slots import EMPTY, LEAST_TURN, Cycle, SlotTurn, TableLimits, Visits
 from gradcal_jax.formulas import repetitions
-from gradcal_jax.recipe.rounding import steps_of
+from gradcal_jax.recipe.tracks import steps_of
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.moves import ResolvedMove

@@ -103,7 +103,7 @@ class ParameterRow(Section):
     """Name of the coefficient."""
     axis: Axis | Literal["unit"] = "x"
     """Axis of the sensor, or "unit" for an IMU."""
-    std: Size | None
+    std: Size | None = None
     """Standard deviation after the calibration; null: this plan cannot observe the coefficient."""
     unit: str
     """Unit of the coefficient."""
@@ -131,11 +131,11 @@ class Prediction(Section):
     """Total duration of the soaks (s)."""
     motion_s: Size
     """Duration of the ramp (s)."""
-    requirements: tuple[RequirementRow, ...]
+    requirements: tuple[RequirementRow, ...] = ()
     """Residuals, one entry for each requirement."""
-    parameters: tuple[ParameterRow, ...]
+    parameters: tuple[ParameterRow, ...] = ()
     """Coefficients with their standard deviations."""
-    covariance: tuple[tuple[Finite | None, ...], ...] | None
+    covariance: tuple[tuple[Finite | None, ...], ...] | None = None
     """Covariance of the coefficients, in the units of `parameters`; null entries belong to coefficients that cannot be
     observed."""
     warnings: tuple[str, ...] = ()

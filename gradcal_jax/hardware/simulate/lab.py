@@ -346,7 +346,7 @@ class SimulatedLab:
     def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         """Make the devices. Axes may be turned by hand, their angles typed or read from an encoder."""
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
-        typed = not read_at_rest(tracks_of(spec)[1])
+        typed = not read_at_rest(tracks_of(spec).motion)
         cold, hot = (float(end) for end in spec.rig.chamber.range)
         settings = unit_options(sample_rate_hz)
         table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}

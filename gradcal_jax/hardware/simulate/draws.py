@@ -30,15 +30,12 @@ from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.places import rotation_of
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.spec.temperature_path import DIFFERENCE
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _PLAY: Final = "hysteresis_{:g}K"
-# The lag of a second thermometer is as the spec says within this share.
-_LAG_SPREAD: Final = 0.2
 _TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
@@ -84,8 +81,8 @@ class _Draws:
     """What is drawn for the unit of a number; `values`: by its names in the calibration."""
 
     def __init__(self, seed: int, number: int) -> None:
-        of = (20261, 20265, 20266, 20267, 20268)
-        self.random, self.path, self.apart, self.hidden, self.die = (default_rng([seed, number, k]) for k in of)
+        of = (20261, 20265, 20267, 20268)
+        self.random, self.path, self.hidden, self.die = (default_rng([seed, number, k]) for k in of)
         self.values: dict[str, float] = {}
 
     def triad(self, kind: Kind, triad: Any) -> TriadTruth:
@@ -103,7 +100,7 @@ class _Draws:
         gradient = self._gradient(kind, triad)
         white = triad.angle_random_walk if kind == "gyro" else triad.velocity_random_walk
         walk = triad.rate_random_walk if kind == "gyro" else None
-        errors += [*self._beyond_maps(triad), *self._differences(kind, triad)]
+        errors += self._beyond_maps(triad)
         loops = tuple(self._plays(kind, triad))
         return TriadTruth(tuple(errors), float(white), float(walk or 0.0), tuple(_processes(triad)), gradient, loops)
 
@@ -178,14 +175,6 @@ class _Draws:
                 factors = imu.rate_functions(partial(_legendre, section.rate, of.rate_degree))
             yield ErrorTerm(values.transpose(0, 2, 1), basis, factors)
 
-    def _differences(self, kind: Kind, triad: Any) -> Iterator[ErrorTerm]:
-        """Errors by the difference of two thermometers."""
-        for term in triad.term:
-            if term.factors == (DIFFERENCE,) and term.target == "bias":
-                size = term.prior_in_si("rad/s" if kind == "gyro" else "m/s^2")
-                slopes = self._three(self.apart, size, kind, term.name, triad.axes)
-                yield ErrorTerm(slopes[:, None, None], lambda apart_k: apart_k[:, None], imu.one, differs=True)
-
 
 def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
     """Legendre polynomials up to a degree, where a map has powers: no other map has a discrepancy."""
@@ -194,10 +183,8 @@ def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
 
 def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
-    draws, sensor, second_lag_s = _Draws(seed, number), spec.sensor, 0.0
+    draws, sensor = _Draws(seed, number), spec.sensor
     names, random, normal = draws.values, draws.random, draws.die.standard_normal
-    if (second := sensor.second_thermometer) is not None:
-        second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(draws.apart.uniform(-1.0, 1.0)))
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
     lever, clock = _LEVER_M * random.standard_normal(3), 0.0
@@ -216,7 +203,7 @@ def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
     if offset_k:
         names["temperature_offset"] = offset_k
     levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
-    return ImuTruth(triads, *levers, clock, names, second_lag_s, late_s, offset_k)
+    return ImuTruth(triads, *levers, clock, names, late_s, offset_k)
 
 
 def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:

@@ -12,8 +12,7 @@ interval, with the sensors' own errors (IEEE 1431, 1293):
     accelerometer  s_i + b(T) + s(T)s_i + k(T)s_i² + h(T)s_i³ + a(T)|s_i| + Σ c_jl(T)f_j f_l + drift + walk
     both           s_i = ω_i + Σ m_ij(T)ω_j, or of f: the input along the sensor's own axis of sensitivity, on which
                    its scale factor acts;
-                   loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
-                   temperature to other masses, one of which the second thermometer measures
+                   loops over the temperature (`Loop`)
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
@@ -119,13 +118,11 @@ class Process:
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
-    `differs`: of the difference of the second thermometer's temperature from that of the sensor."""
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis."""
 
     values: Vectors
     basis: Functions
     factors: Factors
-    differs: bool = False
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: Vectors) -> Vectors:
         count = self.values.shape[1]
@@ -163,30 +160,26 @@ class TableTruth:
 @dataclass(frozen=True)
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
-    the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
-    second thermometer measures; 0: none. The dies follow what the thermometer measures `die_lag_s` late, and it is
-    `thermometer_offset` K off."""
+    the body. `names`: the hidden parameters, by their names in a calibration. The dies follow what the
+    thermometer measures `die_lag_s` late, and it is `thermometer_offset` K off."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     gyro_lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
-    second_lag_s: float = 0.0
     die_lag_s: float = 0.0
     thermometer_offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class SensorSamples:
-    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
-    the second thermometer's temperature (None: as the first's)."""
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends."""
 
     time_s: Vectors
     rate_dps: Vectors
     acceleration_g: Vectors
     temperature_c: Vectors
-    second_c: Vectors | None = None
 
 
 class SampledSensor(ABC):
@@ -260,22 +253,15 @@ class _Triad:
         self._loops: list[Loop] = []
 
     def output(
-        self,
-        own: Vectors,
-        felt: Vectors,
-        parts_c: Vectors,
-        apart_k: Vectors,
-        middles_c: Vectors,
-        change: Vectors,
-        period_s: float,
+        self, own: Vectors, felt: Vectors, parts_c: Vectors, middles_c: Vectors, change: Vectors, period_s: float
     ) -> Vectors:
         """What they say of their inputs `own` and of the force, at temperatures, of all parts of the samples; and of
-        each sample, its temperature and the slope (K/s)."""  # fmt: skip
+        each sample, its temperature and the slope (K/s)."""
         truth = self._truth
         senses = [error for error in truth.errors if error.factors is all_inputs]
         others = [error for error in truth.errors if error.factors is not all_inputs]
         along = sum((error(own, felt, parts_c) for error in senses), start=own)
-        said = sum((error(along, felt, apart_k if error.differs else parts_c) for error in others), start=along)
+        said = sum((error(along, felt, parts_c) for error in others), start=along)
         mean = _means(along)
         added, scaled = self._noise(len(mean), period_s)
         said = _means(said) + added + scaled * mean + change[:, None] * np.array(truth.gradient)
@@ -324,7 +310,7 @@ class SimulatedImu(SampledSensor):
         self._chamber, self._axes = chamber, tuple(axes)
         random = np.random.default_rng([seed, 20263])
         self._triads: dict[Kind, _Triad] = {kind: _Triad(triad, random) for kind, triad in truth.triads.items()}
-        self._masses: dict[str, Mass] = {}
+        self._die: Mass | None = None
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
@@ -336,25 +322,19 @@ class SimulatedImu(SampledSensor):
         middles = shown = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
         change = np.diff(self._chamber.load_at(ends)) / period_s
         if truth.die_lag_s:
-            temperature = self._behind("die", truth.die_lag_s, temperature)
+            self._die = self._die or Mass(float(temperature[0]), truth.die_lag_s)
+            temperature = self._die.take(temperature, period_s / _PARTS)
             middles = _means(temperature)
             change = (shown - middles) / truth.die_lag_s
-        second = self._behind("second", truth.second_lag_s, temperature) if truth.second_lag_s else temperature
         absent = np.full((count, 3), np.nan)
         output: dict[Kind, Vectors] = {"gyro": absent, "accelerometer": absent}
         for kind, triad in self._triads.items():
             lever = np.array(truth.gyro_lever if kind == "gyro" else truth.lever)
             felt = force + _at_lever(lever, rate, acceleration)
             sensed = rate if kind == "gyro" else felt
-            output[kind] = triad.output(sensed, felt, temperature, second - temperature, middles, change, period_s)
+            output[kind] = triad.output(sensed, felt, temperature, middles, change, period_s)
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
-        second_c = _means(second) if truth.second_lag_s else None
-        return SensorSamples(ends[1:], *outputs, shown + truth.thermometer_offset, second_c)
-
-    def _behind(self, name: str, lag_s: float, temperature_c: Vectors) -> Vectors:
-        """The temperatures of a mass at all parts of the samples."""
-        mass = self._masses.setdefault(name, Mass(float(temperature_c[0]), lag_s))
-        return mass.take(temperature_c, self.true_period_s / _PARTS)
+        return SensorSamples(ends[1:], *outputs, shown + truth.thermometer_offset)
 
     def _motion(self, edges: Vectors) -> tuple[Vectors, Vectors]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""

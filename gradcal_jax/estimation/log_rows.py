@@ -38,14 +38,6 @@ class TableReadings(NamedTuple):
     worth: np.ndarray
     at_end: np.ndarray
 
-    def at_rows(self, count: int) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
-        """`(count,)`: the angle, interpolated between the readings (None: unknown), whether a row has a reading, and
-        what it is worth."""
-        reading, worth = np.zeros(count, bool), np.ones(count)
-        reading[self.rows], worth[self.rows] = True, self.worth
-        known = len(self.rows) > 0 and bool(np.isfinite(self.angle).all())
-        return np.interp(np.arange(count), self.rows, self.angle) if known else None, reading, worth
-
 
 def table_readings(
     log: Log,

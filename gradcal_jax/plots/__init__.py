@@ -2,7 +2,7 @@
 never call `show`. Some draw figures of several panels: requirements, maps, axes."""
 
 from gradcal_jax.plots import calibration
-from gradcal_jax.plots.calibration import draw_loop, draw_residuals_over_time
+from gradcal_jax.plots.calibration import draw_residuals_over_time
 from gradcal_jax.plots.calibration_maps import (
     draw_calibrated_scale_factor,
     draw_calibrated_term,
@@ -25,7 +25,6 @@ __all__ = [
     "draw_comparison",
     "draw_curves",
     "draw_frontier",
-    "draw_loop",
     "draw_map",
     "draw_poses",
     "draw_prediction",

@@ -1,20 +1,14 @@
 """Figures of estimates: terms over temperature and rate, and residuals of the rows or of gravity."""
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.lines import Line2D
 
 from gradcal_jax.calibration import CalibratedChannel, Calibration
-from gradcal_jax.estimation.bias_curves import BiasCurve
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate
 from gradcal_jax.estimation.hand_estimate import HandReport
 from gradcal_jax.information import segments_of
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term, panels_of
 from gradcal_jax.plots.style import PALETTE, new_axes
 from gradcal_jax.units import G
@@ -73,48 +67,9 @@ def draw_warm_up(calibration: Calibration) -> Figure:
     return figure
 
 
-def draw_loop(curve: BiasCurve, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
-    """The difference between a channel's bias and its map, over temperature, on every leg: as measured, and as modelled
-    with ± 2 standard deviations."""
-    ax = new_axes(ax)
-    unit, factor = UNITS_OF_TERMS[curve.si_unit]
-    lines: list[Line2D] = []
-    for first, end in legs_of(curve.temperature_c):
-        own = slice(first, end)
-        heats = curve.temperature_c[end - 1] > curve.temperature_c[first]
-        at, colour = curve.temperature_c[own], PALETTE[1 if heats else 0]
-        seen, fitted = ((v - curve.map)[own] * factor for v in (curve.measured, curve.model))
-        std = curve.std[own] * factor
-        lines += ax.plot(at, seen, ".", markersize=3, color=colour)
-        dash = "-" if heats else "--"
-        lines += ax.plot(at, fitted, dash, color=colour, label="heating" if heats else "cooling")
-        ax.fill_between(at, fitted - 2.0 * std, fitted + 2.0 * std, alpha=0.15, color=colour)
-    handles, labels = ax.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    ax.legend(by_label.values(), by_label.keys(), fontsize="small")
-    ax.set(xlabel="temperature, °C", ylabel=unit, title=f"{curve.channel.replace('_', ' ')}: bias beyond its map")
-    return ax, lines
-
-
-def legs_of(temperature: np.ndarray) -> list[tuple[int, int]]:
-    """Rows `first … end − 1` of every heating or cooling leg of more than a twentieth of the range."""
-    least, legs = 0.05 * float(np.ptp(temperature)), [0]
-    highest = lowest = 0
-    # A leg ends where the temperature has returned by that from its extreme.
-    way = 0
-    for k, t in enumerate(temperature):
-        highest, lowest = (k if t > temperature[highest] else highest), (k if t < temperature[lowest] else lowest)
-        if way >= 0 and temperature[highest] - t > least:
-            legs, way, lowest = [*legs, highest], -1, k
-        elif way <= 0 and t - temperature[lowest] > least:
-            legs, way, highest = [*legs, lowest], 1, k
-    edges = [*legs, len(temperature) - 1]
-    return [(a, b + 1) for a, b in pairwise(edges) if abs(temperature[b] - temperature[a]) >= least]
-
-
 def draw_estimate(report: EstimateReport) -> Figure:
-    """A part for each sensor (the first ones, where there are very many): the terms of its calibration, the loops over
-    temperature where it has any, and the residuals."""
+    """A part for each sensor (the first ones, where there are very many): the terms of its calibration, and the
+    residuals."""
     shown = report.sensors[:_MOST_SENSORS]
     rows = [_rows_of(one) for one in shown]
     figure = Figure(figsize=(10.0, 3.2 * sum(rows)), layout="constrained")
@@ -122,11 +77,6 @@ def draw_estimate(report: EstimateReport) -> Figure:
     for part, one in zip(parts, shown, strict=True):
         _draw_sensor(one, part)
     return figure
-
-
-def _loops_of(report: SensorEstimate) -> Sequence[BiasCurve]:
-    loops = "heating against cooling" in report.calibration.contradicted
-    return report.curves if loops or any(one.width for one in report.calibration.path) else ()
 
 
 def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:
@@ -138,7 +88,7 @@ def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:
 def _rows_of(report: SensorEstimate) -> int:
     """Rows of panels, two in each, and one of the residuals."""
     calibration = report.calibration
-    return (len(panels_of(calibration)) + len(_over_rate(calibration)) + len(_loops_of(report)) + 1) // 2 + 1
+    return (len(panels_of(calibration)) + len(_over_rate(calibration)) + 1) // 2 + 1
 
 
 def _draw_sensor(report: SensorEstimate, figure: SubFigure) -> None:
@@ -150,8 +100,6 @@ def _draw_sensor(report: SensorEstimate, figure: SubFigure) -> None:
     for channel in _over_rate(calibration):
         ax, _ = draw_calibrated_scale_factor(calibration, channel, ax=figure.add_subplot(next(places)))
         ax.set_title(channel.label)
-    for curve in _loops_of(report):
-        draw_loop(curve, ax=figure.add_subplot(next(places)))
     draw_residuals_over_time(report, ax=figure.add_subplot(grid[rows - 1, :]))
     simulated = ", SIMULATED" if calibration.simulated else ""
     figure.suptitle(f"calibration of {calibration.serial_number}{simulated}")

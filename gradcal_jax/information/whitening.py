@@ -165,7 +165,7 @@ def _cut(x: np.ndarray, size: int, used: np.ndarray | None = None, fill: Any = 0
     if used is not None:
         x = x * np.reshape(used, (-1,) + (1,) * (x.ndim - 1))
     rest = np.broadcast_to(fill, (-len(x) % size, *x.shape[1:]))
-    return np.concatenate([x, rest]).reshape(-1, size, *x.shape[1:])
+    return np.concatenate([x, rest]).reshape(-(-len(x) // size), size, *x.shape[1:])
 
 
 def _lift(steps: NoiseSteps, size: int) -> Blocks:

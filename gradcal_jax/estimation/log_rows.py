@@ -159,11 +159,12 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
     whole = ImuRows(*whole)
     if built.spec.rig.table.by_gravity:
         try:
-            found = estimation.angles_by_gravity(whole, built.motion.geometry, np.asarray(built.motion.start_angles))
+            angles, doubtful = estimation.angles_by_gravity(
+                whole, built.motion.geometry, np.asarray(built.motion.start_angles)
+            )
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
-        kept, messages = ~found.doubtful, [*messages, *found.messages]
-        whole = whole._replace(angles=found.angles, standing=whole.standing & kept, usable=whole.usable & kept)
+        whole = whole._replace(angles=angles, standing=whole.standing & ~doubtful, usable=whole.usable & ~doubtful)
     return whole, tuple(dict.fromkeys(messages))
 
 

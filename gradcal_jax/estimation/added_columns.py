@@ -122,7 +122,7 @@ class Whitener:
         """The derivatives `(R, 1)` with respect to the site's latitude, 1/rad; not whitened."""
         readings, motion = self.readings, self.readings.done.motion
         moved = eqx.tree_at(lambda m: m.geometry.latitude, motion, motion.geometry.latitude + _SMALL_TURN)
-        there = readings._replace(done=readings.done._replace(motion=moved))
+        there = readings._replace(done=readings.done._replace(motion=moved), known={})
         return ((there.expected(parameters) - readings.expected(parameters)) / _SMALL_TURN)[:, None]
 
 

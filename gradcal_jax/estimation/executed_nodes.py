@@ -1,6 +1,6 @@
 """The nodes of an executed motion, on which the channels' terms are integrated: signals and temperatures of a log."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -102,7 +102,7 @@ def courses_of(
 def nodes_of_rows(
     done: ExecutedImu,
     geometry: Geometry,
-    courses: list[Course],
+    courses: Sequence[Course],
     temperature_c: np.ndarray,
     errors: AngleErrors,
     added: np.ndarray | None,

@@ -5,7 +5,7 @@ channels' terms are evaluated at the resulting signals.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -113,8 +113,8 @@ class ImuReadings(NamedTuple):
     the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `free`:
     no encoder tells the angles of standstills, whose wide noise then absorbs a reading each; `common` `(R, k)`: changes
     of the readings by one standard deviation of each error that is neither a parameter nor a state of the noise.
-    `courses` of the motion at these temperatures; `segments` of the motion; `row` `(N,)`: the row that each step of the
-    noise reads (−1: none).
+    `courses` of the motion at these temperatures; `known`: what has been expected of them before; `segments` of the
+    motion; `row` `(N,)`: the row that each step of the noise reads (−1: none).
     """
 
     model: ImuModel
@@ -128,10 +128,17 @@ class ImuReadings(NamedTuple):
     added: np.ndarray | None
     free: bool = False
     common: np.ndarray | None = None
-    courses: list[Course] = []  # noqa: RUF012
+    courses: Sequence[Course] = ()
+    known: dict[tuple, np.ndarray] = {}  # noqa: RUF012
 
     def expected(self, parameters: np.ndarray, axis: int = -1, constant: float = 0.0, slope: float = 0.0) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates, with further errors of one axis's angles."""
+        key = parameters.tobytes(), axis, constant, slope
+        if key not in self.known:
+            self.known[key] = self._expected(parameters, axis, constant, slope)
+        return self.known[key]
+
+    def _expected(self, parameters: np.ndarray, axis: int, constant: float, slope: float) -> np.ndarray:
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
         error_of = table.error_of._replace(axis=axis, constant=constant, slope=slope)
@@ -183,7 +190,7 @@ class ImuReadings(NamedTuple):
     def _with_temperature(self, temperature_c: np.ndarray) -> "ImuReadings":
         others = self.log.others(self.model.others, temperature_c)
         courses = courses_of(self.done, self.log, self.points, temperature_c, others)
-        return self._replace(temperature_c=temperature_c, courses=courses)
+        return self._replace(temperature_c=temperature_c, courses=courses, known={})
 
     def with_common(self, errors: np.ndarray | None) -> "ImuReadings":
         """The same with further `common` errors `(R, k)`."""
@@ -344,7 +351,7 @@ def readings_of(
     readings = ImuReadings(model, done, at, row_of_steps(done.motion, model), *rest, free=free)
     readings = readings._with_temperature(temperature_c)
     if felt is not None and corrected_by is not None:
-        readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by))
+        readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by), known={})
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.

@@ -281,7 +281,8 @@ class ImuModel(PytreeModule):
                 factors = own.reshape(term.temperature.size, -1).T
                 for group, of, known in zip(nodes.groups, view.groups, drives, strict=True):
                     if c.kind == "gyro" or not group.moving:
-                        known[term.temperature] = known.get(term.temperature, 0.0) + term.drive(of) @ factors
+                        drive, before = term.drive(of) @ factors, known.get(term.temperature)
+                        known[term.temperature] = drive if before is None else before + drive
             for group, known in zip(view.groups, drives, strict=True):
                 for basis, drive in known.items():
                     total[group.pieces] += group.sum_of_products(basis(group.temperature), drive)

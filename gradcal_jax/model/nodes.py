@@ -53,8 +53,10 @@ class SharedNodes(NamedTuple):
 
     def product(self, names: tuple[str, ...]) -> Float[AnyArray, "U q 1"]:
         """The product of signals; none: 1."""
-        product = namespace(self.weight).ones(self.weight.shape)
-        for name in names:
+        if not names:
+            return namespace(self.weight).ones((*self.weight.shape, 1))
+        product = self.signal(names[0])
+        for name in names[1:]:
             product = product * self.signal(name)
         return product[..., None]
 

@@ -43,7 +43,7 @@ class AngleErrors(NamedTuple):
 NO_ERRORS: Final = AngleErrors()
 
 
-class Course(NamedTuple):
+class PieceCourse(NamedTuple):
     """What does not depend on the table's errors, of the pieces `kinds` with so many nodes each: the angle `since` the
     begin of the move (rad) and the `speed` (rad/s) of its axis `(k, q)`, and as in `BodyGroup`."""
 
@@ -60,11 +60,11 @@ class Course(NamedTuple):
 
 def courses_of(
     done: ExecutedImu, log: ImuRows, points: int, temperature_c: np.ndarray, others: Mapping[str, np.ndarray]
-) -> list[Course]:
+) -> list[PieceCourse]:
     """The courses of an executed motion. `temperature_c` `(n,)`: temperature of the maps; `others`: other temperatures
     of the rows, by name. `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at
     every node."""
-    line, result = done.motion.line, list[Course]()
+    line, result = done.motion.line, list[PieceCourse]()
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
     for count in np.unique(sizes).tolist():
         kinds = np.flatnonzero(sizes == count)
@@ -84,7 +84,7 @@ def courses_of(
         time = line.start[kinds][:, None] + duration * x
         ends = [np.clip(time + by, log.time_s[0], log.time_s[-1]) for by in (-_AROUND_S, _AROUND_S)]
         change = np.diff([np.interp(end, log.time_s, temperature_c) for end in ends], axis=0)[0]
-        course = Course(
+        course = PieceCourse(
             kinds,
             since,
             speed,
@@ -102,7 +102,7 @@ def courses_of(
 def nodes_of_rows(
     done: ExecutedImu,
     geometry: Geometry,
-    courses: Sequence[Course],
+    courses: Sequence[PieceCourse],
     temperature_c: np.ndarray,
     errors: AngleErrors,
     added: np.ndarray | None,
@@ -116,7 +116,7 @@ def nodes_of_rows(
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
     before, after = motion.angles()
 
-    def group(of: Course) -> BodyGroup:
+    def group(of: PieceCourse) -> BodyGroup:
         own = motion.turns[of.kinds][:, None, :]
         angle = before[of.kinds][:, None, :] + np.where(own, of.since[..., None], 0.0)
         error, slope = errors(angle)

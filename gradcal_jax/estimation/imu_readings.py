@@ -12,7 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.executed_nodes import NO_ERRORS, AngleErrors, Course, courses_of, nodes_of_rows
+from gradcal_jax.estimation.executed_nodes import NO_ERRORS, AngleErrors, PieceCourse, courses_of, nodes_of_rows
 from gradcal_jax.estimation.gyro_stops import across_stops
 from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows
 from gradcal_jax.information import (
@@ -128,7 +128,7 @@ class ImuReadings(NamedTuple):
     added: np.ndarray | None
     free: bool = False
     common: np.ndarray | None = None
-    courses: Sequence[Course] = ()
+    courses: Sequence[PieceCourse] = ()
     known: dict[tuple, np.ndarray] = {}  # noqa: RUF012
 
     def expected(self, parameters: np.ndarray, axis: int = -1, constant: float = 0.0, slope: float = 0.0) -> np.ndarray:

@@ -33,14 +33,6 @@ _ANGLE: Final = np.radians(0.2)
 _SMALL_TURN: Final = 1e-5
 
 
-class AddedTest(NamedTuple):
-    """The test of some columns, with its name and the sentence of a failure."""
-
-    name: str
-    test: Test
-    advice: str
-
-
 class Components(NamedTuple):
     """`y` `(k,)` with the gains `(k,)` (per squared unit of a coefficient)."""
 
@@ -98,11 +90,11 @@ class Whitener:
     def __init__(self, readings: ImuReadings) -> None:
         self.readings, self.nodes = readings, readings.nominal()
         self.at = readings.segments
-        self.steps, _ = readings.linear(None)
+        self.white = readings.whitener(readings.linear(None)[0])
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """`(n, k)`, of the rows used, of columns `(R, k)` of all rows."""
-        return self.readings.whitened(self.steps, self.readings.by_steps(rows))
+        return self.white(self.readings.by_steps(rows))
 
     def of_term(self, number: int, term: Term) -> np.ndarray:
         """The columns `(R, k)` of a term if the channel of this number had it; not whitened."""
@@ -130,12 +122,15 @@ class Whitener:
         """The derivatives `(R, 1)` with respect to the site's latitude, 1/rad; not whitened."""
         readings, motion = self.readings, self.readings.done.motion
         moved = eqx.tree_at(lambda m: m.geometry.latitude, motion, motion.geometry.latitude + _SMALL_TURN)
-        there = readings._replace(done=readings.done._replace(motion=moved))
+        there = readings._replace(done=readings.done._replace(motion=moved), known={})
         return ((there.expected(parameters) - readings.expected(parameters)) / _SMALL_TURN)[:, None]
 
 
-def added_tests(spec: Spec, whiten: Whitener, solution: ImuEstimate, excess: float) -> Iterator[AddedTest]:
-    """The tests of what no other test of the fit was seen to find: a wrong latitude, and waves of the table's angles.
+def added_tests(
+    spec: Spec, whiten: Whitener, solution: ImuEstimate, excess: float
+) -> Iterator[tuple[str, tuple[Test, str]]]:
+    """By name, the tests of what no other test of the fit was seen to find, with the sentence of a failure: a wrong
+    latitude, and waves of the table's angles.
     `excess`: the factor by which the residuals exceed the spec's noise, which is no wave."""
     beside = Beside(solution.white)
     if not spec.rig.site.is_unknown:
@@ -145,16 +140,15 @@ def added_tests(spec: Spec, whiten: Whitener, solution: ImuEstimate, excess: flo
         if of.tells(_LATITUDE):
             stated, std = np.degrees(spec.rig.site.latitude_rad), np.degrees(of.gains[0] ** -0.5)
             seen = stated + np.degrees(float(column[:, 0] @ solution.residuals) / of.gains[0])
-            yield AddedTest(
-                "latitude of the site",
-                of.test(),
+            sentence = (
                 f"the gyros observe the Earth's rate at a latitude of about {seen:.0f} ± {max(std, 1.0):.0f} deg, but "
-                f"the spec states {stated:.4g} deg: is [rig.site] latitude correct?",
+                f"the spec states {stated:.4g} deg: is [rig.site] latitude correct?"
             )
+            yield "latitude of the site", (of.test(), sentence)
     yield from _wave_tests(spec, whiten, beside, excess)
 
 
-def _wave_tests(spec: Spec, whiten: Whitener, beside: Beside, excess: float) -> Iterator[AddedTest]:
+def _wave_tests(spec: Spec, whiten: Whitener, beside: Beside, excess: float) -> Iterator[tuple[str, tuple[Test, str]]]:
     """Of every axis of the table, of the waves that the spec lacks, beside an unknown scale error, which is no
     parameter: 1 ppm of it is 0.001 deg after three turns. None where no angle is read at rest."""
     motion = whiten.readings.done.motion
@@ -171,10 +165,9 @@ def _wave_tests(spec: Spec, whiten: Whitener, beside: Beside, excess: float) -> 
             if not wave.tells(_ANGLE):
                 continue
             size = np.degrees(np.linalg.norm(wave.y / np.sqrt(wave.gains)))
-            yield AddedTest(
-                f"waves of the angle of the axis {axis.name}, order {order}",
-                wave.test(excess),
+            sentence = (
                 f"axis {axis.name}: the table's angle has an error of about {size:.2g} deg that repeats {order} times "
                 f"per turn, but the spec states no such error: add harmonics of order {order} to the angle of this "
-                "axis in [rig.table]; or does the drive have backlash? Then approach every stop from the same side",
+                "axis in [rig.table]; or does the drive have backlash? Then approach every stop from the same side"
             )
+            yield f"waves of the angle of the axis {axis.name}, order {order}", (wave.test(excess), sentence)

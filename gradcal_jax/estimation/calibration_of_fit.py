@@ -1,7 +1,7 @@
 """The calibration file of a fit: channels, covariance, tests, requirements, provenance."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,17 +19,10 @@ from gradcal_jax.calibration import (
     TableError,
     build_term,
 )
-from gradcal_jax.estimation.calibration_rows import (
-    fit_rows,
-    provenance_of,
-    random_walks,
-    result_of_requirement,
-    section_of,
-)
-from gradcal_jax.estimation.consistency import Test
+from gradcal_jax.estimation.calibration_rows import random_walks, section_of
 from gradcal_jax.estimation.imu_solve import ImuEstimate
 from gradcal_jax.information.plan_sentences import prior_deviations, unobserved_parameters
-from gradcal_jax.information.unseen import unseen_errors
+from gradcal_jax.information.unseen import CountedPosteriors, unseen_errors
 from gradcal_jax.model import (
     AXIS_NAMES,
     Channel,
@@ -44,24 +37,13 @@ from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import RequirementRow
 from gradcal_jax.tables.quantity import Quantity
 
 Range = tuple[float, float]
+_FRAME_OF_TABLE = "the table's axes at zero angles, rotated by the nominal mounting"
 # Edges of the histogram of whitened residuals, and the fewest residuals whose rms along the run is shown.
 _EDGES = np.concatenate([[-np.inf], np.arange(-4.0, 4.25, 0.5), [np.inf]])
 _FEWEST, _PARTS = 100, 10
-
-
-class Judged(NamedTuple):
-    """What a fit says of itself: `tests` by name, the `requirements`, names of what `contradicted` the model, the
-    sentence on what the log `lacks` of its plan (None: nothing), and the error `budget`."""
-
-    tests: Mapping[str, Test]
-    requirements: tuple[RequirementRow, ...]
-    contradicted: tuple[str, ...]
-    lacks: str | None
-    budget: Any
 
 
 def calibration_of(
@@ -69,14 +51,13 @@ def calibration_of(
     logs: Sequence[Log],
     name: str,
     solution: ImuEstimate,
-    judged: Judged,
     covered: tuple[Range, Range],
     lag: float,
-    estimator: str,
-    sources: Mapping[str, str],
+    budget: CountedPosteriors,
+    **said: Any,
 ) -> Calibration:
     """The calibration of a sensor of this `name`; `covered`: temperatures (°C) and rates (rad/s); `lag` s of the maps;
-    `estimator`: how it was estimated, in words; `sources`: names of files."""
+    `budget`: the errors that it counts; `said`: further sections of the file."""
     model, spec, reported = built.model, built.spec, built.model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units, priors = model.names(), model.units(), prior_deviations(model)
@@ -88,19 +69,18 @@ def calibration_of(
     kept = [k for k, n in enumerate(names) if n in carried]
     seen = [k for k in kept if np.isfinite(deviations[k])]
     matrix = solution.known.covariance(reported[: model.calibrated])[np.ix_(seen, seen)]
-    section: dict[str, Any] = {
-        "format": FORMAT,
-        "title": spec.title or f"calibration of {name}",
-        "serial_number": name,
-        "simulated": any(one.simulated for one in logs),
-        "frame": FRAME_OF_CASE
-        if spec.sensor.frame == "case"
-        else "the table's axes at zero angles, rotated by the nominal mounting",
-        "order": ORDER,
-        "channel": channels,
-        "path": tuple(_path_coefficients(built, values, deviations)),
-        "covariance": Covariance(names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, matrix.tolist()))),
-        "table": tuple(
+    said["unseen"] = unseen_errors(budget, [names[k] for k in kept], reported[kept])
+    return Calibration(
+        format=FORMAT,
+        title=spec.title or f"calibration of {name}",
+        serial_number=name,
+        simulated=any(one.simulated for one in logs),
+        frame=FRAME_OF_CASE if spec.sensor.frame == "case" else _FRAME_OF_TABLE,
+        order=ORDER,
+        channel=channels,
+        path=tuple(_path_coefficients(built, values, deviations)),
+        covariance=Covariance(names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, matrix.tolist()))),
+        table=tuple(
             TableError(
                 name=names[k],
                 value=float(values[k]),
@@ -110,20 +90,10 @@ def calibration_of(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": fit_rows(judged.tests.items()),
-        "unobservable": tuple(n for n in unobserved_parameters(model, solution.known) if n in carried),
-        "noise": _noise(spec, logs[0]),
-        "result": tuple(map(result_of_requirement, judged.requirements)),
-        "provenance": provenance_of(
-            logs, name, sources, estimator=estimator, rows=str(int(np.count_nonzero(solution.used)))
-        ),
-    }
-    said = {
-        "unseen": unseen_errors(judged.budget, [names[k] for k in kept], reported[kept]),
-        "contradicted": judged.contradicted,
-        "lacks": judged.lacks,
-    }
-    return Calibration(**section, **{key: value for key, value in said.items() if value})
+        unobservable=tuple(n for n in unobserved_parameters(model, solution.known) if n in carried),
+        noise=_noise(spec, logs[0]),
+        **{key: value for key, value in said.items() if value},
+    )
 
 
 def residuals_of(white: np.ndarray) -> Residuals:

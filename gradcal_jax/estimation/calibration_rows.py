@@ -11,6 +11,7 @@ from gradcal_jax.records.log import Log
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.tables.contracts import RequirementRow
 from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.units import DEG_PER_S
 
 
 def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
@@ -39,6 +40,23 @@ def coefficient_rows(calibration: Calibration) -> list[dict[str, Any]]:
         for term in channel.term
         for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())
     ]
+
+
+def rows_of_estimate(calibration: Calibration, messages: Sequence[str], **more: Any) -> dict[str, Any]:
+    """All numbers of an estimate for another program, in SI unless they have a unit beside them; `more`: those that its
+    estimator adds."""
+    return {
+        "unit": calibration.serial_number,
+        "simulated": calibration.simulated,
+        "parameters": coefficient_rows(calibration),
+        "covariance": None if calibration.covariance is None else calibration.covariance.model_dump(mode="json"),
+        "valid_temperature_c": [float(t) for t in calibration.valid_temperature],
+        "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
+        "tests": [row.model_dump(mode="json") for row in calibration.fit],
+        "unobservable": list(calibration.unobservable),
+        **more,
+        "messages": list(messages),
+    }
 
 
 def random_walks(gyro: GyroTriad) -> dict[str, Any]:

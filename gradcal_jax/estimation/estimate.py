@@ -14,9 +14,13 @@ from gradcal_jax import estimation
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.estimation import Consistency, ExecutedImu, ImuEstimate, Test
 from gradcal_jax.estimation.added_columns import Whitener, added_tests, halves_test
-from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
-from gradcal_jax.estimation.calibration_of_fit import Judged, Range, calibration_of
-from gradcal_jax.estimation.calibration_rows import coefficient_rows
+from gradcal_jax.estimation.calibration_of_fit import Range, calibration_of
+from gradcal_jax.estimation.calibration_rows import (
+    fit_rows,
+    provenance_of,
+    result_of_requirement,
+    rows_of_estimate,
+)
 from gradcal_jax.estimation.findings import (
     FitFinding,
     RecordFaults,
@@ -30,7 +34,7 @@ from gradcal_jax.estimation.findings import (
     sentences_of,
     without_bad_rows,
 )
-from gradcal_jax.estimation.fit_of_log import FittedRows, fit_of, points_of
+from gradcal_jax.estimation.fit_of_log import fit_of, points_of
 from gradcal_jax.estimation.lag_of_maps import Fit, Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_options
 from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
@@ -49,7 +53,6 @@ from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import RequirementRow, outcomes
 from gradcal_jax.tables.display import summary
-from gradcal_jax.units import DEG_PER_S
 
 # Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
@@ -80,8 +83,6 @@ class SensorEstimate(NamedTuple):
     """Lag of the maps behind the measured temperature."""
     counts: Mapping[str, int] = MappingProxyType({})
     """Numbers of rows used and left out, by reason; they add up to the rows read."""
-    curves: tuple[BiasCurve, ...] = ()
-    """The bias of every channel over the path of the temperature."""
 
     __repr__ = summary
 
@@ -212,15 +213,17 @@ def _estimates(
         try:
             progress(f"IMU {name}: rows of the log")
             rows, messages = imu_rows(built, logs, name, options)
-            fitted = fit_of(built, name, rows, options, (*said, *shown.sentences, *messages))
+            fit = fit_of(built, name, rows, options)
             progress(f"IMU {name}: tests of the fit")
-            yield _report_of(fitted, logs, name, options, sources, noise, shown, lacks)
+            one = _report_of(built, fit, logs, name, options, sources, noise, shown, lacks)
+            yield one._replace(messages=(*said, *shown.sentences, *messages, *one.messages))
         except LogError as error:
             raise LogError("; ".join([str(error), *shown.sentences])) from None
 
 
 def _report_of(
-    fitted: FittedRows,
+    built: BuiltImu,
+    fit: Fit,
     logs: Sequence[Log],
     name: str,
     options: Options,
@@ -230,27 +233,22 @@ def _report_of(
     lacks: str | None,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, rows, temperature, fit, lag, messages = fitted
-    done, readings, solution, rates = fit
-    stable, model, spec = isinstance(built.spec.plan, StandardPlan), built.model, built.spec
-    tests = estimation.consistency(solution)
-    named = _tests_of_fit(solution, model, tests, _heating(fit, temperature))
-    covered = _covered(done, rates, temperature)
+    readings, solution, lag = fit.readings, fit.solution, fit.lag
+    done, model, spec = readings.done, built.model, built.spec
+    stable, temperature = isinstance(spec.plan, StandardPlan), readings.temperature_c
+    summed = estimation.consistency(solution)
+    tests = _tests_of_fit(solution, model, summed, _heating(fit))
+    covered = _covered(done, fit.rates, temperature)
     record = temperature[int(done.rows[0]) : int(done.rows[-1]) + 1]
     whiten = Whitener(readings)
     # At stable temperatures nothing lags, and between them no data are used.
     answers = answers_of(built) if stable else whiten.answers(solution)
-    run = EstimatedRun(
-        solution.parameters, covered[0], answers, lag.uncounted, goes_one_way(record), options.clock_doubt
-    )
+    lag_std = 0.0 if lag.in_rows else lag.std
+    run = EstimatedRun(solution.parameters, covered[0], answers, lag_std, goes_one_way(record), options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
-    known = solution.known._replace(spread=solution.known.spread * tests.excess)
+    known = solution.known._replace(spread=solution.known.spread * summed.excess)
     budget = budget_of_estimate(estimated, known, run, noise)
-    added = list(added_tests(spec, whiten, solution, tests.excess))
-    of_fit = failed(
-        named | {one.name: one.test for one in added},
-        _advice(named, tests) | {one.name: one.advice for one in added},
-    )
+    of_fit = failed(tests | dict(added_tests(spec, whiten, solution, summed.excess)))
     of_fit += beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(model))
     contradicted = tuple(one.name for one in (*shown.findings, *of_fit) if one.contradicts)
     beyond = [beyond_the_data(requirement, *covered) for requirement in spec.requirement]
@@ -258,14 +256,27 @@ def _report_of(
         _judged(requirement_row(estimated, budget, requirement), sentence, contradicted)
         for requirement, sentence in zip(spec.requirement, beyond, strict=True)
     )
-    judged = Judged(named, requirements, contradicted, lacks, budget)
-    estimator = _estimator(solution, lag, options)
-    calibration = calibration_of(built, logs, name, solution, judged, covered, lag.seconds, estimator, sources)
+    of_tests = {test: outcome for test, (outcome, _) in tests.items()}
+    calibration = calibration_of(
+        built,
+        logs,
+        name,
+        solution,
+        covered,
+        lag.seconds,
+        budget,
+        fit=fit_rows(of_tests.items()),
+        result=tuple(map(result_of_requirement, requirements)),
+        contradicted=contradicted,
+        lacks=lacks,
+        provenance=provenance_of(
+            logs, name, sources, estimator=_estimator(solution, lag, options), rows=str(np.count_nonzero(solution.used))
+        ),
+    )
     sentences = [
-        *messages,
-        *(points_of(built, rows).sentences if stable else []),
-        *lag.sentences,
-        *sentences_of([*_remarks(tests, solution), *of_fit]),
+        *(points_of(built, readings.log).sentences if stable else []),
+        *fit.messages,
+        *sentences_of([*_remarks(summed, solution), *of_fit]),
         *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
         *one_way_sentences(built, solution.known),
         *branch_sentences(spec),
@@ -280,12 +291,11 @@ def _report_of(
         solution,
         calibration,
         requirements,
-        tests,
-        named,
+        summed,
+        of_tests,
         tuple(sentences),
         lag,
         _counts(logs, name, done),
-        bias_curves(readings, solution),
     )
 
 
@@ -305,41 +315,37 @@ def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
     return "; ".join(parts)
 
 
-def _heating(fit: Fit, temperature: np.ndarray) -> np.ndarray:
+def _heating(fit: Fit) -> np.ndarray:
     """Of the rows used, whether the temperature rises over their segments."""
-    at, rows = fit.readings.segments, fit.executed.rows
-    warmer = temperature[rows[at.last + 1]] > temperature[rows[at.first]]
-    return warmer[at.row_segment][fit.solution.used]
+    at, ends = fit.readings.segments, fit.readings.temperature_c[fit.readings.done.rows]
+    return (ends[at.last + 1] > ends[at.first])[at.row_segment][fit.solution.used]
 
 
-def _tests_of_fit(solution: ImuEstimate, model: ImuModel, tests: Consistency, heating: np.ndarray) -> dict[str, Test]:
-    """The tests of a fit by their names in the calibration file; `heating`: truth values of the rows used."""
-    named = {CHI_SQUARED: tests.fit}
+def _tests_of_fit(
+    solution: ImuEstimate, model: ImuModel, tests: Consistency, heating: np.ndarray
+) -> dict[str, tuple[Test, str]]:
+    """The tests of a fit by their names in the calibration file, each with what to say if it fails; `heating`: truth
+    values of the rows used."""
+    named = {
+        CHI_SQUARED: (
+            tests.fit,
+            f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete (try a "
+            "higher degree of the polynomials), something jumped or drifted during the run, or the noise figures are "
+            "too small; requirements are judged with the larger noise",
+        )
+    }
     # That of a single channel is the whole fit's.
     for i, c in enumerate(model.channels if len(model.channels) > 1 else ()):
         own = solution.channel == i
         left = solution.residuals[own]
         free = round(len(left) - float(np.sum(solution.leverage[own])))
-        named[f"{c.name}: chi-squared"] = estimation.chi_squared_test(float(left @ left), free)
+        test = estimation.chi_squared_test(float(left @ left), free)
+        scale = np.sqrt(test.statistic / max(test.degrees, 1))
+        sentence = f"{c.name.replace('_', ' ')}: its residuals are {scale:.3g} times the noise of the spec"
+        named[f"{c.name}: chi-squared"] = test, sentence
     if _FEW < np.mean(heating) < 1.0 - _FEW:
-        named[HEATING_AGAINST_COOLING] = halves_test(solution.white, heating)
+        named[HEATING_AGAINST_COOLING] = halves_test(solution.white, heating), _LOOP
     return named
-
-
-def _advice(named: Mapping[str, Test], tests: Consistency) -> dict[str, str]:
-    """What to say of each test of the fit that fails."""
-    found = {
-        name: f"{name.partition(':')[0].replace('_', ' ')}: its residuals are "
-        f"{np.sqrt(test.statistic / max(test.degrees, 1)):.3g} times the noise of the spec"
-        for name, test in named.items()
-    }
-    found[CHI_SQUARED] = (
-        f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete (try a higher "
-        "degree of the polynomials), something jumped or drifted during the run, or the noise figures are too small; "
-        "requirements are judged with the larger noise"
-    )
-    found[HEATING_AGAINST_COOLING] = _LOOP
-    return found
 
 
 def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
@@ -409,27 +415,21 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
 
 
 def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
-    """All numbers of an estimate for `--json`, in SI unless they have a unit beside them."""
+    """All numbers of an estimate for `--json`."""
     calibration, tests = report.calibration, report.consistency
-    return {
-        "unit": report.unit,
-        "simulated": calibration.simulated,
-        "readings": int(np.count_nonzero(report.solution.used)),
-        "rows": dict(report.counts),
-        "parameters": coefficient_rows(calibration),
-        "covariance": None if calibration.covariance is None else calibration.covariance.model_dump(mode="json"),
-        "valid_temperature_c": [float(t) for t in calibration.valid_temperature],
-        "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
-        "lag_s": report.lag.seconds,
-        "lag_std_s": report.lag.std,
-        "noise_scale": finite(tests.noise_scale),
-        "share_beyond_three_sigma": tests.beyond_three,
-        "largest_residual_sigma": tests.largest,
-        "table": [row.model_dump(mode="json") for row in calibration.table],
-        "requirements": [
+    return rows_of_estimate(
+        calibration,
+        report.messages,
+        readings=int(np.count_nonzero(report.solution.used)),
+        rows=dict(report.counts),
+        lag_s=report.lag.seconds,
+        lag_std_s=report.lag.std,
+        noise_scale=finite(tests.noise_scale),
+        share_beyond_three_sigma=tests.beyond_three,
+        largest_residual_sigma=tests.largest,
+        table=[row.model_dump(mode="json") for row in calibration.table],
+        requirements=[
             row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}
             for row in report.requirements
         ],
-        "tests": [row.model_dump(mode="json") for row in calibration.fit],
-        "messages": list(report.messages),
-    }
+    )

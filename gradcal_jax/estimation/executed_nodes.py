@@ -1,5 +1,6 @@
 """The nodes of an executed motion, on which the channels' terms are integrated: signals and temperatures of a log."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -42,39 +43,33 @@ class AngleErrors(NamedTuple):
 NO_ERRORS: Final = AngleErrors()
 
 
-def nodes_of_rows(
-    done: ExecutedImu,
-    log: ImuRows,
-    geometry: Geometry,
-    points: int,
-    temperature_c: np.ndarray,
-    errors: AngleErrors,
-    added: np.ndarray | None,
-) -> BodyNodes:
-    """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
-    `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
+class PieceCourse(NamedTuple):
+    """What does not depend on the table's errors, of the pieces `kinds` with so many nodes each: the angle `since` the
+    begin of the move (rad) and the `speed` (rad/s) of its axis `(k, q)`, and as in `BodyGroup`."""
 
-    `errors`: of the angle of every axis less that of its encoder. `added` `(P, 3)`: the mean specific force beyond
-    gravity over every piece, m/s², in the frame of the innermost axis: away from the axes a move adds some hundredths
-    of g to gravity, and gyros are sensitive to it.
-    """
-    motion, line = eqx.tree_at(lambda m: m.geometry, done.motion, geometry), done.motion.line
-    before, after = motion.angles()
+    kinds: np.ndarray
+    since: np.ndarray
+    speed: np.ndarray
+    temperature: np.ndarray
+    share: np.ndarray
+    weight: np.ndarray
+    time: np.ndarray
+    slope: np.ndarray
+
+
+def courses_of(done: ExecutedImu, log: ImuRows, points: int, temperature_c: np.ndarray) -> list[PieceCourse]:
+    """The courses of an executed motion. `temperature_c` `(n,)`: temperature of the maps. `points` along a piece for
+    functions of temperature; 0: they have jumps, and are evaluated at every node."""
+    line, result = done.motion.line, list[PieceCourse]()
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
-
-    def group(count: int) -> BodyGroup:
-        """The pieces of so many nodes."""
+    for count in np.unique(sizes).tolist():
         kinds = np.flatnonzero(sizes == count)
-        duration, own = line.duration[kinds][:, None], motion.turns[kinds][:, None, :]
+        duration = line.duration[kinds][:, None]
         since = speed = np.zeros((len(kinds), 1))
         if count > 1:
             ways = np.array([done.travelled[k] for k in kinds])
             since = 0.5 * (ways[:, 1:] + ways[:, :-1])
             speed = np.diff(ways, axis=1) * count / np.where(duration > 0.0, duration, 1.0)
-        angle = before[kinds][:, None, :] + np.where(own, since[..., None], 0.0)
-        error, slope = errors(angle)
-        joint = np.where(own, speed[..., None], 0.0) * (1.0 + slope)
-        mounting = np.broadcast_to(motion.mounting[kinds][:, None], since.shape)
         middles = (np.arange(count) + 0.5) / count
         if points:
             x, w = quadrature(points)
@@ -85,24 +80,56 @@ def nodes_of_rows(
         time = line.start[kinds][:, None] + duration * x
         ends = [np.clip(time + by, log.time_s[0], log.time_s[-1]) for by in (-_AROUND_S, _AROUND_S)]
         change = np.diff([np.interp(end, log.time_s, temperature_c) for end in ends], axis=0)[0]
-        weight = np.broadcast_to(duration / count, since.shape)
-        own_kinds = kinds, kinds, np.arange(len(kinds))
-        temperature = np.interp(time, log.time_s, temperature_c)
-        found = replace(
-            body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting),
-            time=time - log.time_s[0],
-            slope=change / np.maximum(ends[1] - ends[0], np.finfo(float).tiny),
+        course = PieceCourse(
+            kinds,
+            since,
+            speed,
+            np.interp(time, log.time_s, temperature_c),
+            share,
+            np.broadcast_to(duration / count, since.shape),
+            time - log.time_s[0],
+            change / np.maximum(ends[1] - ends[0], np.finfo(float).tiny),
         )
-        if added is None or count == 1:
+        result.append(course)
+    return result
+
+
+def nodes_of_rows(
+    done: ExecutedImu,
+    geometry: Geometry,
+    courses: Sequence[PieceCourse],
+    temperature_c: np.ndarray,
+    errors: AngleErrors,
+    added: np.ndarray | None,
+) -> BodyNodes:
+    """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
+
+    `errors`: of the angle of every axis less that of its encoder. `added` `(P, 3)`: the mean specific force beyond
+    gravity over every piece, m/s², in the frame of the innermost axis: away from the axes a move adds some hundredths
+    of g to gravity, and gyros are sensitive to it.
+    """
+    motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
+    before, after = motion.angles()
+
+    def group(of: PieceCourse) -> BodyGroup:
+        own = motion.turns[of.kinds][:, None, :]
+        angle = before[of.kinds][:, None, :] + np.where(own, of.since[..., None], 0.0)
+        error, slope = errors(angle)
+        joint = np.where(own, of.speed[..., None], 0.0) * (1.0 + slope)
+        mounting = np.broadcast_to(motion.mounting[of.kinds][:, None], of.since.shape)
+        numbers = of.kinds, of.kinds, np.arange(len(of.kinds))
+        path = of.time, of.slope
+        found = body_group(geometry, numbers, of.temperature, of.share, of.weight, angle + error, joint, mounting, path)
+        if added is None or of.since.shape[1] == 1:
             return found
-        in_body = np.einsum("kij,ki->kj", geometry.mountings[motion.mounting[kinds]], added[kinds])
+        in_body = np.einsum("kij,ki->kj", geometry.mountings[motion.mounting[of.kinds]], added[of.kinds])
         return replace(found, felt=found.force + in_body[:, None])
 
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
     seen_before, seen_after = (angle + errors(angle)[0] for angle in (before, after))
     earlier = np.zeros(0) if done.motion.history is None else np.asarray(done.motion.history)
     return BodyNodes(
-        tuple(group(int(count)) for count in np.unique(sizes)),
+        tuple(map(group, courses)),
         motion.kind,
         end - begin,
         seen_before,

@@ -55,12 +55,12 @@ class FitFinding(NamedTuple):
     contradicts: bool = True
 
 
-def failed(tests: Mapping[str, Test], advice: Mapping[str, str]) -> list[FitFinding]:
-    """The tests that fail, each with the `advice` of its name."""
+def failed(tests: Mapping[str, tuple[Test, str]]) -> list[FitFinding]:
+    """The tests that fail, of tests with their advice by name."""
     level = _RARE / max(len(tests), 1)
     return [
-        FitFinding(name, test.probability, level, advice.get(name, ""))
-        for name, test in tests.items()
+        FitFinding(name, test.probability, level, advice)
+        for name, (test, advice) in tests.items()
         if test.probability < level
     ]
 

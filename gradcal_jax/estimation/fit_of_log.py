@@ -5,7 +5,6 @@ The motion is read from the log; the rates within a move are first the gyros' ow
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -46,50 +45,33 @@ _COARSE = 0.1
 _HALF_FROM = 6
 
 
-class FittedRows(NamedTuple):
-    """The fit of one sensor's `rows`, the temperature of its maps (°C), their lag, and messages."""
-
-    built: BuiltImu
-    rows: ImuRows
-    temperature: np.ndarray
-    fit: Fit
-    lag: Lag
-    messages: tuple[str, ...]
-
-
-def fit_of(built: BuiltImu, name: str, rows: ImuRows, options: Options, messages: tuple[str, ...] = ()) -> FittedRows:
+def fit_of(built: BuiltImu, name: str, rows: ImuRows, options: Options) -> Fit:
     """The fit of one sensor's rows, with the lag of its maps if the options leave it to the data. Errors: `LogError`
     for readings of another sensor or table."""
+    sensor, stable = built.spec.sensor, isinstance(built.spec.plan, StandardPlan)
+    temperature_of = LateTemperatures(rows, _wander(built.spec))
+
+    def fit_at(lag: float, before: Fit | None = None, *, checked: bool = False) -> Fit:
+        options.progress(f"IMU {name}: fit with a lag of {lag:.3g} s")
+        fit = fit_readings(built, name, rows, temperature_of(lag), before=before, checked=checked)
+        return fit if stable else _with_errors(fit, temperature_of, lag)
+
     try:
         refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
-        stable = isinstance(built.spec.plan, StandardPlan)
-        temperature_of = LateTemperatures(rows, _wander(built.spec))
-        lag = Lag(0.0 if options.lag == "auto" else options.lag)
-        fit, free = None, options.lag == "auto" and _may_lag(built)
-        if free and not stable:
-
-            def fit_at(lag: float, before: Fit | None = None) -> Fit:
-                options.progress(f"IMU {name}: fit with a lag of {lag:.3g} s")
-                # A lag may make readings of another IMU of the right ones.
-                at_lag = fit_readings(built, name, rows, temperature_of(lag), before=before, checked=False)
-                return _with_errors(at_lag, temperature_of, lag)
-
-            lag, fit, said = fit_with_lag(fit_at, temperature_of, built.spec.sensor.temperature_lag)
-            messages, fit = (*messages, *said), _likely(built, name, fit)
-        temperature = temperature_of(lag.seconds)
-        if fit is None:
-            options.progress(f"IMU {name}: fit")
-            fit = fit_readings(built, name, rows, temperature)
-            fit = fit if stable else _with_errors(fit, temperature_of, lag.seconds)
-        possible = float(built.spec.sensor.temperature_lag or 0.0) if free else 0.0
-        if possible and not (stable or lag.seconds):
+        if stable or options.lag != "auto" or not _may_lag(built):
+            lag = Lag(0.0 if options.lag == "auto" else options.lag)
+            return fit_at(lag.seconds, checked=True)._replace(lag=lag)
+        # (A lag may make readings of another IMU of the right ones.)
+        fit = _likely(built, name, fit_with_lag(fit_at, temperature_of, sensor.temperature_lag))
+        if (possible := float(sensor.temperature_lag or 0.0)) and not fit.lag.seconds:
             # A small lag cannot be fitted, but tests of the fit would notice it.
-            fit, lag = _with_errors(fit, temperature_of, possible, [temperature_of(possible)]), Lag(0.0, in_rows=True)
+            fit = _with_errors(fit, temperature_of, possible, [temperature_of(possible)])
+            fit = fit._replace(lag=Lag(0.0, in_rows=True))
     except LogError as error:
         if sentence := wrapped_sentence(rows.angles):
             raise LogError(f"{error}{sentence}") from error
         raise
-    return FittedRows(built, rows, temperature, fit, lag, messages)
+    return fit
 
 
 def _may_lag(built: BuiltImu) -> bool:
@@ -143,7 +125,9 @@ def _corrected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (rad/s) and specific forces (m/s²) `(n, 3)` corrected by an estimate."""
     held = tuple(calibrated_channels(built, built.model.to_reported @ parameters, _EVERYWHERE))
-    rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
+    # (Other rows are more than half of a run's log.)
+    rates, felt, used = rows.rates.copy(), rows.force.copy(), rows.usable
+    rates[used], felt[used] = correct_triads(held, rates[used], felt[used], temperature[used])
     # Where no accelerometer is, nothing tells what a move adds to gravity.
     felt = np.where([any(c.input == f"force {a}" for c in held) for a in AXIS_NAMES], felt, np.nan)
     # Data that hardly determine a map give one that no gyro has, which corrects nothing.
@@ -194,7 +178,7 @@ def _pass(built: BuiltImu, name: str, rows: ImuRows, temperature: np.ndarray, be
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         about = solution.parameters if about is None else about + share * (solution.parameters - about)
         number += 1
-    return Fit(done, readings, solution, seen.rates)
+    return Fit(readings, solution, seen.rates)
 
 
 def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:

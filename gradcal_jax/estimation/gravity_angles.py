@@ -9,7 +9,6 @@ These angles are a start: `imu_solve` estimates each with the calibration, and l
 """
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,10 +17,10 @@ from gradcal_jax.estimation.imu_rows import ImuRows, mean_known
 from gradcal_jax.formulas import runs
 from gradcal_jax.motion import Geometry, frames
 
-# The largest scale-factor error with which whole turns are counted, and one that is said.
-_COUNTED, _LARGE = 0.15, 0.1
-# An integral (rad) below which no axis has turned; and the least turn that shows the scale factor.
-_LEAST_TURN, _LONG_TURN = np.radians(0.06), 1.0
+# The largest scale-factor error with which whole turns are counted.
+_COUNTED = 0.15
+# An integral (rad) below which no axis has turned.
+_LEAST_TURN = np.radians(0.06)
 # Turns smaller than this (rad) are not read, nor the standstills within this time of them.
 _SMALL_TURN, _BESIDE_S = np.radians(1.0), 0.5
 _STEPS = 40
@@ -29,24 +28,16 @@ _STEPS = 40
 _VERTICAL = 0.05
 
 
-class GravityAngles(NamedTuple):
-    """`angles` `(n, L)` rad: at the rows where the table stands, NaN at the others; `doubtful` `(n,)`: rows about turns
-    so small that they can hardly be told from standing; `messages` on a large scale-factor error."""
-
-    angles: np.ndarray
-    doubtful: np.ndarray
-    messages: tuple[str, ...]
-
-
-def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> GravityAngles:
-    """The angles of a table's standstills. `start` `(L,)` rad: about where the plan begins. Errors: `ValueError` where
-    whole turns cannot be counted."""
+def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The angles of a table's standstills `(n, L)`, rad, NaN at other rows, and whether a row `(n,)` is near a turn so
+    small that it can hardly be told from standing. `start` `(L,)` rad: about where the plan begins. Errors:
+    `ValueError` where whole turns cannot be counted."""
     stands = [(int(a), int(b) - 1) for a, b in runs(log.standing)]
     stands = [(a, b) for a, b in stands if b > a and np.isfinite(log.force[a : b + 1]).any(axis=0).all()]
     if len(stands) < 2:
         raise ValueError("the log has fewer than two standstills, so gravity gives no angle")
     result = np.full((len(log.time_s), geometry.axis_count), np.nan)
-    doubtful, scales, at = np.zeros(len(log.time_s), bool), list[float](), start
+    doubtful, at = np.zeros(len(log.time_s), bool), start
     for k, (first, last) in enumerate(stands):
         mounting, up = int(log.mounting[first]), mean_known(log.force[first : last + 1])
         up, before = up / np.linalg.norm(up), at
@@ -62,18 +53,12 @@ def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> Gr
             near = start if hung_anew else at
             at = near + _wrapped(_by_gravity(geometry, near, up, mounting) - near)
         else:
-            at, scale = _turned(geometry, at, up, mounting, parts, log.time_s[end])
-            scales += [scale] if scale is not None else []
+            at = _turned(geometry, at, up, mounting, parts, log.time_s[end])
             if np.max(np.abs(at - before)) < _SMALL_TURN:
                 near = np.searchsorted(log.time_s, [log.time_s[end] - _BESIDE_S, log.time_s[first] + _BESIDE_S])
                 doubtful[near[0] : near[1]] = True
         result[first : last + 1] = at
-    scale = float(np.median(scales)) if scales else 0.0
-    said = (
-        f"the scale factor of the gyros is wrong by {100.0 * scale:+.3g} %: the estimate counts whole turns with "
-        "this scale factor; are the rates in rad/s?"
-    )
-    return GravityAngles(result, doubtful, (said,) if abs(scale) > _LARGE else ())
+    return result, doubtful
 
 
 def _integrals(log: ImuRows, before: tuple[int, int], after: tuple[int, int]) -> list[np.ndarray]:
@@ -87,9 +72,8 @@ def _integrals(log: ImuRows, before: tuple[int, int], after: tuple[int, int]) ->
 
 def _turned(
     geometry: Geometry, at: np.ndarray, up: np.ndarray, mounting: int, parts: list[np.ndarray], begin_s: float
-) -> tuple[np.ndarray, float | None]:
-    """The angles after turns with these integrals, and the gyros' scale-factor error by them if a long turn of one axis
-    shows it."""
+) -> np.ndarray:
+    """The angles after turns with these integrals."""
     here, turned = at.copy(), np.zeros(len(at))
     for part in parts:
         axis, angle = turned_axis(geometry, here, mounting, part)
@@ -103,12 +87,8 @@ def _turned(
             "start of the log, may be a turn more or less with the gyros' scale factor; turn by "
             f"{np.degrees(np.pi / _COUNTED):.3g} deg or less at once"
         )
-    if not turned.any():
-        return here, None
     # Of several turns at once whole ones are not counted anew: those of the gyros are corrected a little.
-    corrected = _by_gravity(geometry, here, up, mounting, turned != 0.0)
-    alone = np.count_nonzero(turned) == 1 and largest > _LONG_TURN
-    return corrected, float(turned.sum() / (turned + corrected - here).sum()) - 1.0 if alone else None
+    return _by_gravity(geometry, here, up, mounting, turned != 0.0) if turned.any() else here
 
 
 def _by_gravity(

@@ -15,7 +15,7 @@ from gradcal_jax.calibration import (
     Noise,
     build_term,
 )
-from gradcal_jax.estimation.calibration_rows import coefficient_rows, fit_rows, provenance_of
+from gradcal_jax.estimation.calibration_rows import fit_rows, provenance_of, rows_of_estimate
 from gradcal_jax.estimation.hand import KINDS_OF_ROWS, LOWER, ByHand, HandRows, find_positions, solve_by_hand
 from gradcal_jax.estimation.log_rows import Options, bridged_temperature, time_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
@@ -246,17 +246,12 @@ def _findings(solution: ByHand, unseen: Sequence[str], gravity: float) -> Iterat
 
 
 def hand_estimate_rows(report: HandReport) -> dict[str, Any]:
-    """All numbers of an estimate for another program, SI."""
-    calibration = report.calibration
-    return {
-        "unit": report.unit,
-        "simulated": calibration.simulated,
-        "parameters": coefficient_rows(calibration),
-        "positions": len(report.solution.positions.duration),
-        "turns": report.solution.turns,
-        "gravity_rms_m_per_s2": report.gravity_left,
-        "turns_rms_rad": report.turns_left,
-        "tests": [row.model_dump(mode="json") for row in calibration.fit],
-        "unobservable": list(calibration.unobservable),
-        "messages": list(report.messages),
-    }
+    """All numbers of an estimate for another program."""
+    return rows_of_estimate(
+        report.calibration,
+        report.messages,
+        positions=len(report.solution.positions.duration),
+        turns=report.solution.turns,
+        gravity_rms_m_per_s2=report.gravity_left,
+        turns_rms_rad=report.turns_left,
+    )

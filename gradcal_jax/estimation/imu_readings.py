@@ -5,14 +5,14 @@ channels' terms are evaluated at the resulting signals.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.executed_nodes import NO_ERRORS, AngleErrors, nodes_of_rows
+from gradcal_jax.estimation.executed_nodes import NO_ERRORS, AngleErrors, PieceCourse, courses_of, nodes_of_rows
 from gradcal_jax.estimation.gyro_stops import across_stops
 from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows
 from gradcal_jax.information import (
@@ -24,7 +24,7 @@ from gradcal_jax.information import (
     row_of_steps,
     rows_of_angles,
     segments_of,
-    whiten,
+    whitener,
 )
 from gradcal_jax.information.gears import errors_of_angles, gears_of
 from gradcal_jax.information.imu_rows import Segments
@@ -113,7 +113,8 @@ class ImuReadings(NamedTuple):
     the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `free`:
     no encoder tells the angles of standstills, whose wide noise then absorbs a reading each; `common` `(R, k)`: changes
     of the readings by one standard deviation of each error that is neither a parameter nor a state of the noise.
-    `segments` of the motion; `row` `(N,)`: the row that each step of the noise reads (−1: none).
+    `courses` of the motion at these temperatures; `known`: what has been expected of them before; `segments` of the
+    motion; `row` `(N,)`: the row that each step of the noise reads (−1: none).
     """
 
     model: ImuModel
@@ -127,21 +128,27 @@ class ImuReadings(NamedTuple):
     added: np.ndarray | None
     free: bool = False
     common: np.ndarray | None = None
+    courses: Sequence[PieceCourse] = ()
+    known: dict[tuple, np.ndarray] = {}  # noqa: RUF012
 
     def expected(self, parameters: np.ndarray, axis: int = -1, constant: float = 0.0, slope: float = 0.0) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates, with further errors of one axis's angles."""
+        key = parameters.tobytes(), axis, constant, slope
+        if key not in self.known:
+            self.known[key] = self._expected(parameters, axis, constant, slope)
+        return self.known[key]
+
+    def _expected(self, parameters: np.ndarray, axis: int, constant: float, slope: float) -> np.ndarray:
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
         error_of = table.error_of._replace(axis=axis, constant=constant, slope=slope)
         nodes = self._nodes(table.geometry, error_of, parameters)
         at = self.segments
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
-        result, begin = np.zeros(len(at.row_segment)), 0
-        for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
-            own = parameters[begin : begin + c.size]
-            begin += c.size
-            output = ideal[nodes.kind, c.index] + columns @ own
+        result = np.zeros(len(at.row_segment))
+        for i, (c, own) in enumerate(zip(model.channels, model.outputs(nodes, parameters), strict=True)):
             rows = at.row_channel == i
+            output = ideal[nodes.kind, c.index] + own
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
         return result
 
@@ -160,20 +167,29 @@ class ImuReadings(NamedTuple):
         """`(N,)`: by the noise steps, what the readings used are more than expected."""
         return self.by_steps(np.where(self.segments.used, self.observed - self.expected(parameters), 0.0))
 
-    def whitened(self, steps: NoiseSteps, values: np.ndarray) -> np.ndarray:
-        """Values `(N, k)` of the noise steps as rows of variance one, `(n, k)`, of the rows that are used."""
-        used, count = self.by_steps(np.asarray(self.segments.used)), values.shape[1]
+    def whitener(self, steps: NoiseSteps) -> Callable[[np.ndarray], np.ndarray]:
+        """The function from values `(N, k)` of the noise steps to rows of variance one, `(n, k)`, of the rows that are
+        used."""
+        used, white = self.by_steps(np.asarray(self.segments.used)), whitener(steps)
         if self.common is None:
-            return np.asarray(whiten(steps, values))[used]
-        white = np.asarray(whiten(steps, np.concatenate([values, self.by_steps(self.common)], axis=1)))[used]
+            return lambda values: white(values)[used]
         # The root of the inverse of I + C Cᵀ.
-        along, sizes, _ = np.linalg.svd(white[:, count:], full_matrices=False)
-        white, less = white[:, :count], 1.0 - 1.0 / np.hypot(1.0, sizes)
-        return white - along @ (less[:, None] * (along.T @ white))
+        along, sizes, _ = np.linalg.svd(white(self.by_steps(self.common))[used], full_matrices=False)
+        less = (1.0 - 1.0 / np.hypot(1.0, sizes))[:, None]
+
+        def without_common(values: np.ndarray) -> np.ndarray:
+            rows = white(values)[used]
+            return rows - along @ (less * (along.T @ rows))
+
+        return without_common
 
     def at(self, temperature_c: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """`h(β)` `(R,)` if the maps had other temperatures."""
-        return self._replace(temperature_c=temperature_c).expected(parameters)
+        return self._with_temperature(temperature_c).expected(parameters)
+
+    def _with_temperature(self, temperature_c: np.ndarray) -> "ImuReadings":
+        courses = courses_of(self.done, self.log, self.points, temperature_c)
+        return self._replace(temperature_c=temperature_c, courses=courses, known={})
 
     def with_common(self, errors: np.ndarray | None) -> "ImuReadings":
         """The same with further `common` errors `(R, k)`."""
@@ -301,7 +317,7 @@ class ImuReadings(NamedTuple):
         self, geometry: Geometry, errors: AngleErrors = NO_ERRORS, parameters: np.ndarray | None = None
     ) -> BodyNodes:
         """The nodes on a table of this geometry, for sensors with the misalignments of `parameters`."""
-        nodes = nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, errors, self.added)
+        nodes = nodes_of_rows(self.done, geometry, self.courses, self.temperature_c, errors, self.added)
         return nodes if parameters is None else self.model.with_misalignments(nodes, parameters)
 
 
@@ -332,8 +348,9 @@ def readings_of(
         observed[rows] = whole[at.row_segment[rows]]
     rest = log, temperature_c, points, np.where(at.used, observed, 0.0), None
     readings = ImuReadings(model, done, at, row_of_steps(done.motion, model), *rest, free=free)
+    readings = readings._with_temperature(temperature_c)
     if felt is not None and corrected_by is not None:
-        readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by))
+        readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by), known={})
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.

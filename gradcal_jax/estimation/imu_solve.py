@@ -140,12 +140,13 @@ def _solved(readings: ImuReadings, used: np.ndarray, about: np.ndarray | None, s
     """The estimate with the noise and derivatives at `about`, iterated from there."""
     model = readings.model
     steps, columns = readings.linear(about)
-    jacobian, prior = readings.whitened(steps, columns), model.prior_rows()
+    white, prior = readings.whitener(steps), model.prior_rows()
+    jacobian = white(columns)
     design = np.concatenate([jacobian, prior])
     of = factored(design)
 
     def left_over(beta: np.ndarray) -> tuple[np.ndarray, float]:
-        rest = readings.whitened(steps, readings.left(beta)[:, None])[:, 0]
+        rest = white(readings.left(beta)[:, None])[:, 0]
         return rest, float(rest @ rest + np.sum((prior @ beta) ** 2))
 
     beta, moved, rounds, curved = np.zeros(model.size) if about is None else about.copy(), np.inf, 0, 0.0
@@ -170,10 +171,10 @@ def _solved(readings: ImuReadings, used: np.ndarray, about: np.ndarray | None, s
         lost = absorbed(steps, readings.angle_states)[readings.by_steps(used)]
         degrees -= round(float(np.sum(lost)))
         leverage = leverage + lost
-    white = Whitened(jacobian, rest + jacobian @ beta, prior)
+    linear = Whitened(jacobian, rest + jacobian @ beta, prior)
     channel = readings.segments.row_channel[used]
     return ImuEstimate(
-        beta, of.known, rest, squares, degrees, white, used, channel, leverage, moved, rounds, curved
+        beta, of.known, rest, squares, degrees, linear, used, channel, leverage, moved, rounds, curved
     )  # fmt: skip
 
 

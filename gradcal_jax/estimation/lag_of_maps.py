@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
+from gradcal_jax.estimation import ImuEstimate, ImuReadings, ImuRows, chi_squared_test
 from gradcal_jax.estimation.added_columns import Beside, Whitener
 from gradcal_jax.formulas import BRIDGED_S, followed
 
@@ -29,15 +29,6 @@ _HOLDS, _LEFT = 0.001, 0.1
 _TRIED_S, _BY_CHANCE = (15.0, 60.0, 240.0), 0.01
 
 
-class Fit(NamedTuple):
-    """The executed motion, the readings of it, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s."""
-
-    executed: ExecutedImu
-    readings: ImuReadings
-    solution: ImuEstimate
-    rates: np.ndarray
-
-
 class Lag(NamedTuple):
     """The lag of the maps, s; `std`: its standard deviation where it was fitted; `in_rows`: a possible lag is an error
     that all rows have in common."""
@@ -46,17 +37,16 @@ class Lag(NamedTuple):
     std: float | None = None
     in_rows: bool = False
 
-    @property
-    def uncounted(self) -> float | None:
-        """The standard deviation that the covariance of the parameters does not contain; None: that of the spec."""
-        return 0.0 if self.in_rows else self.std
 
-    @property
-    def sentences(self) -> list[str]:
-        """What is said of a fitted lag."""
-        if self.std is None:
-            return []
-        return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
+class Fit(NamedTuple):
+    """The readings of the executed motion, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s; the `lag`
+    of the maps, and `messages` on it."""
+
+    readings: ImuReadings
+    solution: ImuEstimate
+    rates: np.ndarray
+    lag: Lag = Lag(0.0)
+    messages: tuple[str, ...] = ()
 
 
 class LateTemperatures:
@@ -107,15 +97,14 @@ def fit_with_lag(
     fit_at: Callable[[float, Fit | None], Fit],
     temperature_of: Callable[[float], np.ndarray],
     size_s: float | None = None,
-) -> tuple[Lag, Fit, tuple[str, ...]]:
-    """The lag of the maps of all channels if the data show one, the fit with it, and messages. `fit_at`: with a lag
-    (s), from another fit; `temperature_of` (°C, of all rows): with a lag; `size_s`: its standard deviation by the
-    spec."""
+) -> Fit:
+    """The fit with the lag of the maps of all channels if the data show one. `fit_at`: with a lag (s), from another
+    fit; `temperature_of` (°C, of all rows): with a lag; `size_s`: its standard deviation by the spec."""
     prompt = fit = fit_at(0.0, None)
     beside, columns = _changes(prompt, temperature_of, _TRIED_S)
     tried = beside.components(columns)
     if tried.test(prompt.solution.excess**0.5).probability >= _BY_CHANCE:
-        return Lag(0.0), prompt, ()
+        return prompt
     # The one that leaves the smallest residuals.
     best = int(np.argmin(np.sum((beside.left - beside.of(columns)) ** 2, axis=0)))
     lag, std, following = 0.0, 0.0, _TRIED_S[best]
@@ -135,15 +124,17 @@ def fit_with_lag(
     least = _EXPECTED + (lag / size_s) ** 2 if size_s else _SURE
     unsure = lag > 0.99 * _LONGEST_S or lag < 2.0 * std
     if before - after <= least * fit.solution.excess or unsure:
-        return Lag(0.0), prompt, ()
+        return prompt
     holds = chi_squared_test(after, degrees).probability > _HOLDS
     if not holds and after - degrees > _LEFT * (before - degrees):
         # What contradicts the model is something else, which a lag may resemble.
-        return Lag(0.0), prompt, (
+        sentence = (
             f"a lag of the maps of {lag:.3g} s would reduce χ² from {before:.0f} to {after:.0f} of {degrees}, "
-            "but not explain it: zero lag is assumed",
-        )  # fmt: skip
-    return Lag(lag, std), fit, ()
+            "but not explain it: zero lag is assumed"
+        )
+        return prompt._replace(messages=(sentence,))
+    sentence = f"the maps lag behind the measured temperature by {lag:.4g} s (1σ {std:.2g} s)"
+    return fit._replace(lag=Lag(lag, std), messages=(sentence,))
 
 
 def _changes(

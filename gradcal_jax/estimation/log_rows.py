@@ -37,14 +37,6 @@ class TableReadings(NamedTuple):
     worth: np.ndarray
     at_end: np.ndarray
 
-    def at_rows(self, count: int) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
-        """`(count,)`: the angle, interpolated between the readings (None: unknown), whether a row has a reading, and
-        what it is worth."""
-        reading, worth = np.zeros(count, bool), np.ones(count)
-        reading[self.rows], worth[self.rows] = True, self.worth
-        known = len(self.rows) > 0 and bool(np.isfinite(self.angle).all())
-        return np.interp(np.arange(count), self.rows, self.angle) if known else None, reading, worth
-
 
 def table_readings(
     log: Log,
@@ -166,11 +158,12 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
     whole = ImuRows(*whole)
     if built.spec.rig.table.by_gravity:
         try:
-            found = estimation.angles_by_gravity(whole, built.motion.geometry, np.asarray(built.motion.start_angles))
+            angles, doubtful = estimation.angles_by_gravity(
+                whole, built.motion.geometry, np.asarray(built.motion.start_angles)
+            )
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
-        kept, messages = ~found.doubtful, [*messages, *found.messages]
-        whole = whole._replace(angles=found.angles, standing=whole.standing & kept, usable=whole.usable & kept)
+        whole = whole._replace(angles=angles, standing=whole.standing & ~doubtful, usable=whole.usable & ~doubtful)
     return whole, tuple(dict.fromkeys(messages))
 
 

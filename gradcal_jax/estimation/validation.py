@@ -200,7 +200,8 @@ def _stops(log: Log, unit: int, tables: list[int], messages: list[str]) -> list[
         reads.append(read)
         if len(tables) == 1:
             # Other axes may move meanwhile; the angle is known where it is read.
-            _, reading, _ = read.at_rows(len(number))
+            reading = np.zeros(len(number), bool)
+            reading[read.rows] = True
             standing = stands | reading
     found: list[_Stop] = []
     for begin, end in formulas.runs(standing).tolist():

@@ -27,11 +27,10 @@ from gradcal_jax.calibration import (
     CalibratedChannel,
     Calibration,
     Covariance,
-    Noise,
     UnseenError,
     build_term,
 )
-from gradcal_jax.estimation.calibration_rows import coefficient_rows, fit_rows, provenance_of
+from gradcal_jax.estimation.calibration_rows import fit_rows, provenance_of, rows_of_estimate
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.formulas import EARTH_RATE
@@ -40,7 +39,6 @@ from gradcal_jax.identify.instability import (
     allan_of,
     at_rest,
     plausible,
-    samples_per_row,
     too_noisy,
 )
 from gradcal_jax.records.log import Log, LogError
@@ -82,15 +80,12 @@ class _Means(NamedTuple):
 
 class _Channel(NamedTuple):
     """A channel's calibration with the covariance of its coefficients and the errors that no residual shows, each a
-    change of all coefficients; `walk`: of its white noise; `rate_walk`: typical of its
-    class, `grade`."""
+    change of all coefficients; `grade`: the class of its white noise."""
 
     calibrated: CalibratedChannel
     covariance: np.ndarray
     unseen: list[tuple[str, np.ndarray]]
     test: Test
-    walk: float
-    rate_walk: str | None
     grade: str
 
 
@@ -110,26 +105,15 @@ def estimate_warm_up(logs: Sequence[Log], *, sources: dict[str, str] | None = No
 
 
 def warm_up_rows(report: WarmUpReport) -> dict[str, Any]:
-    """All numbers for `--json`, in SI unless they have a unit beside them."""
-    rows = [
-        {
-            "unit": one.serial_number,
-            "simulated": one.simulated,
-            "parameters": coefficient_rows(one),
-            "covariance": None if one.covariance is None else one.covariance.model_dump(mode="json"),
-            "valid_temperature_c": [float(t) for t in one.valid_temperature],
-            "tests": [row.model_dump(mode="json") for row in one.fit],
-            "messages": list(report.messages[one.serial_number]),
-        }
-        for one in report.calibrations
-    ]
+    """All numbers for `--json`."""
+    rows = [rows_of_estimate(one, report.messages[one.serial_number]) for one in report.calibrations]
     simulated = any(one.simulated for one in report.calibrations)
     return {"simulated": simulated, "as_wished": report.as_wished, "units": rows}
 
 
 def _unit(log: Log, unit: str, sources: dict[str, str]) -> tuple[Calibration, tuple[str, ...]]:
-    gyros = [_channel(log, axis, unit) for axis in log.axes]
-    channels = [*gyros, *(_channel(log, axis, unit, force=True) for axis in log.force_axes)]
+    channels = [_channel(log, axis, unit) for axis in log.axes]
+    channels += [_channel(log, axis, unit, force=True) for axis in log.force_axes]
     messages = [
         f"the vehicle's rate is assumed to be zero, so the bias of a gyro includes a part of the Earth's rate, up to "
         f"{EARTH_RATE * unit_of.DEG_PER_H:.0f} deg/h; and it is that of this attitude: in another, the sensitivity of "
@@ -160,19 +144,6 @@ def _unit(log: Log, unit: str, sources: dict[str, str]) -> tuple[Calibration, tu
         "tilted? The covariance includes the misfit"
         for name in contradicted
     ]
-    noise: dict[str, Any] = {}
-    folded, _ = samples_per_row(log, log.sample_interval_s)
-    if np.isfinite(folded):
-        noise["noise"] = Noise(
-            angle_random_walk=Quantity.of(max(of.walk for of in gyros) / float(np.sqrt(folded)), "rad/sqrt(s)"),
-            rate_random_walk=gyros[0].rate_walk,  # pyright: ignore[reportArgumentType]
-            sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
-        )
-    else:
-        messages.append(
-            "the calibration states no noise, because it is not known whether the log's rows are single samples or "
-            'means: state the sensor\'s own rate, as --sensor-rate "400 Hz", or --sensor-rate "means"'
-        )
     matrix = np.asarray(block_diag(*(of.covariance for of in channels)))
     calibration = Calibration(
         format=FORMAT,
@@ -187,7 +158,6 @@ def _unit(log: Log, unit: str, sources: dict[str, str]) -> tuple[Calibration, tu
         fit=fit_rows(tests.items()),
         contradicted=contradicted,
         provenance=provenance_of([log], unit, sources, estimator="generalised least squares of means over stretches"),
-        **noise,
     )
     return calibration, tuple(messages)
 
@@ -312,7 +282,7 @@ def _channel(log: Log, axis: str, unit: str, *, force: bool = False) -> _Channel
         valid_rate=(still, still),
         term=(build_term("bias", si, (), coefficients, temperature=basis),),
     )
-    return _Channel(calibrated, covariance, unseen, test, walk.value, rate_walk, grade)
+    return _Channel(calibrated, covariance, unseen, test, grade)
 
 
 def _lasting(time: np.ndarray, of: dict[str, str]) -> np.ndarray:

@@ -27,4 +27,4 @@ from gradcal_jax.information.posterior import (
     square_root,
 )
 from gradcal_jax.information.residual import STATISTICS, grid_element, map_rows, statistic
-from gradcal_jax.information.whitening import by_reading, gram, weights, whiten, whitened_factor
+from gradcal_jax.information.whitening import by_reading, gram, weights, whiten, whitened_factor, whitener

@@ -20,6 +20,7 @@ This is linear in the tangents, so it serves forward and reverse mode, and it ca
 The same lines run in NumPy, where nothing is compiled, and in JAX.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -78,6 +79,13 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray
     return _filter(blocks, data)[0][place]
 
 
+def whitener(steps: NoiseSteps) -> Callable[[Float[np.ndarray, "N p"]], Float[np.ndarray, "N p"]]:
+    """`whiten` of these steps, for several sets of columns. NumPy."""
+    blocks, number = _lift(steps, _READINGS), np.arange(len(steps.used))
+    place = number // _READINGS, number % _READINGS
+    return lambda columns: _filter(blocks, _cut(columns, _READINGS, steps.used))[0][place]
+
+
 def weights(steps: NoiseSteps, columns: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N p"]:
     """`V⁻¹ columns`."""
     blocks, data, place = _in_blocks(steps, columns)
@@ -90,7 +98,7 @@ def by_reading(
 ) -> tuple[Float[np.ndarray, "N n p"], Float[np.ndarray, " N"]]:
     """The state after each reading by all readings up to it, if each column is what was read, and the inverse of the
     standard deviation of each innovation (0: the reading says nothing). NumPy."""
-    blocks, data = _lift(steps, columns, 1)
+    blocks, data = _lift(steps, 1), _cut(columns, 1, steps.used)
     _, filtered, (last, _) = _filter(blocks, data)
     return np.concatenate([filtered.state[1:], last[None]]), filtered.whitener[:, 0, 0]
 
@@ -131,7 +139,7 @@ def _in_blocks(steps: NoiseSteps, columns: AnyArray) -> tuple[Blocks, AnyArray, 
     """The noise and the columns in blocks, and the block and the place in it of every reading."""
     if namespace(steps, columns) is np:
         number = np.arange(len(columns))
-        blocks, data = _lift(steps, columns, _READINGS)
+        blocks, data = _lift(steps, _READINGS), _cut(columns, _READINGS, steps.used)
         return blocks, data, (number // _READINGS, number % _READINGS)
     # Readings of one instant (of several channels) are one reading of a vector.
     fresh = np.ones(len(columns), bool) if steps.stays is None else ~np.asarray(steps.stays)
@@ -152,32 +160,35 @@ def _in_blocks(steps: NoiseSteps, columns: AnyArray) -> tuple[Blocks, AnyArray, 
     return Blocks(f, q, observation @ f, noise, own, jnp.asarray(steps.initial)), data, place
 
 
-def _lift(steps: NoiseSteps, columns: np.ndarray, size: int) -> tuple[Blocks, np.ndarray]:
+def _cut(x: np.ndarray, size: int, used: np.ndarray | None = None, fill: Any = 0.0) -> np.ndarray:
+    """Values of the steps in blocks of `size`, with `fill` after the last; zero where readings are not `used`."""
+    if used is not None:
+        x = x * np.reshape(used, (-1,) + (1,) * (x.ndim - 1))
+    rest = np.broadcast_to(fill, (-len(x) % size, *x.shape[1:]))
+    return np.concatenate([x, rest]).reshape(-(-len(x) // size), size, *x.shape[1:])
+
+
+def _lift(steps: NoiseSteps, size: int) -> Blocks:
     """Blocks of `size` steps. Readings that are not used, and those of padding, see nothing and have no noise."""
-    count, n = steps.observation.shape
-    blocks = -(-count // size)
-
-    def cut(x: np.ndarray, fill: Any = 0.0) -> np.ndarray:
-        rest = np.broadcast_to(fill, (blocks * size - count, *x.shape[1:]))
-        return np.concatenate([x, rest]).reshape(blocks, size, *x.shape[1:])
-
-    used = cut(steps.used)
-    observation, data = (cut(x) * used[..., None] for x in (steps.observation, columns))
-    variance = cut(steps.reading_variance) * used
-    transition, noise = cut(steps.transition, np.eye(n)), cut(steps.covariance)
+    n = steps.observation.shape[1]
+    observation, variance = (_cut(x, size, steps.used) for x in (steps.observation, steps.reading_variance))
+    transition, noise = _cut(steps.transition, size, fill=np.eye(n)), _cut(steps.covariance, size)
+    goes_on = _cut(np.ones(len(steps.used), bool) if steps.stays is None else ~steps.stays, size, fill=False)
+    blocks = len(observation)
     # Of the state at the present step: its response to that at the block's begin, and its covariance with all readings.
     response, covariance = np.tile(np.eye(n), (blocks, 1, 1)), np.zeros((blocks, n, n))
     seen, within, cross = np.zeros((blocks, size, n)), np.zeros((blocks, size, size)), np.zeros((blocks, n, size))
     for k in range(size):
-        f, h = transition[:, k], observation[:, k, None]
-        response, cross = f @ response, f @ cross
-        covariance = f @ covariance @ _t(f) + noise[:, k]
+        on, h = goes_on[:, k], observation[:, k, None]
+        f = transition[on, k]
+        response[on], cross[on] = f @ response[on], f @ cross[on]
+        covariance[on] = f @ covariance[on] @ _t(f) + noise[on, k]
         own = covariance @ _t(h)
         seen[:, k] = (h @ response)[:, 0]
         within[:, k] = within[:, :, k] = (h @ cross)[:, 0]
         within[:, k, k] = (h @ own)[:, 0, 0] + variance[:, k]
         cross[:, :, k] = own[..., 0]
-    return Blocks(response, covariance, seen, within, cross, np.asarray(steps.initial)), data
+    return Blocks(response, covariance, seen, within, cross, np.asarray(steps.initial))
 
 
 def _filter(

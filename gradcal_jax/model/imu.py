@@ -259,6 +259,29 @@ class ImuModel(PytreeModule):
         columns = placed((len(nodes.kind), begin), *parts)
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
+    def outputs(self, nodes: BodyNodes, parameters: Float[np.ndarray, " p"]) -> list[Float[np.ndarray, " P"]]:
+        """`own_columns` times the channels' own parameters, at a part of the cost: the terms of a channel that have the
+        same functions of temperature are added at the nodes. NumPy."""
+        result, begin = list[np.ndarray](), 0
+        for c in self.channels:
+            view, total = nodes.channel(c.kind, c.axis), np.zeros(len(nodes.kind))
+            drives: list[dict[Basis, np.ndarray]] = [{} for _ in view.groups]
+            for term in c.terms:
+                own, begin = parameters[begin : begin + term.size], begin + term.size
+                if not isinstance(term, Map):
+                    total += term.columns(view) @ own
+                    continue
+                factors = own.reshape(term.temperature.size, -1).T
+                for group, of, known in zip(nodes.groups, view.groups, drives, strict=True):
+                    if c.kind == "gyro" or not group.moving:
+                        drive, before = term.drive(of) @ factors, known.get(term.temperature)
+                        known[term.temperature] = drive if before is None else before + drive
+            for group, known in zip(view.groups, drives, strict=True):
+                for basis, drive in known.items():
+                    total[group.pieces] += group.sum_of_products(basis(group.temperature), drive)
+            result.append(total)
+        return result
+
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, every = np.tile(np.eye(self.size), (len(by), 1, 1)), np.arange(self.size)

@@ -39,8 +39,10 @@ class SharedNodes(NamedTuple):
 
     def product(self, names: tuple[str, ...]) -> Float[AnyArray, "U q 1"]:
         """The product of signals; none: 1."""
-        product = namespace(self.weight).ones(self.weight.shape)
-        for name in names:
+        if not names:
+            return namespace(self.weight).ones((*self.weight.shape, 1))
+        product = self.signal(names[0])
+        for name in names[1:]:
             product = product * self.signal(name)
         return product[..., None]
 
@@ -51,6 +53,11 @@ class SharedNodes(NamedTuple):
         return xp.reshape(
             xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
         )
+
+    def sum_of_products(self, first: Float[np.ndarray, "k m a"], second: Float[np.ndarray, "U q a"]) -> np.ndarray:
+        """Weighted sums over each piece `(k,)` of the products of as many functions."""
+        weights = np.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
+        return np.einsum("kam,kma->k", weights[self.kind], first)
 
 
 class Nodes(PytreeModule):

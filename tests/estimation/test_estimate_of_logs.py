@@ -139,28 +139,6 @@ def test_gaps_and_masked_rows_are_bridged_by_new_origins_and_counted():
     assert np.all(channel.solution.known.deviations(reported) >= whole.solution.known.deviations(reported))
 
 
-@pytest.mark.long
-def test_a_lag_of_the_temperature_is_found():
-    spec = spec_of(
-        **{
-            'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"': PROGRAMME,
-            '"0.5 deg/sqrt(h)"': '"0.01 deg/sqrt(h)"',
-        }
-    )
-    made = simulate_log(spec, sample_rate_hz=10.0, seed=4)
-    # The thermometer leads: what the maps followed is the log's temperature, what is measured is ahead of it.
-    log = made.log
-    lag = 40.0
-    true = log.temperature_c[0]
-    ahead = true + lag * np.gradient(true, log.time_s)
-    (channel,) = estimated(spec, replace(log, temperature_c=ahead[None]))
-    assert channel.lag.seconds == pytest.approx(lag, abs=max(5 * channel.lag.std, 2.0))
-    assert channel.lag.std < 5.0
-    (without,) = estimated(spec, replace(log, temperature_c=ahead[None]), options=Options(lag=0.0))
-    assert without.consistency.fit.statistic > channel.consistency.fit.statistic + 100.0
-    assert not without.tests["heating against cooling"].passed
-
-
 def test_a_lag_does_not_run_across_what_was_not_recorded():
     hour, lag, per_s = np.arange(0.0, 3600.0, 0.1), 120.0, 1.0 / 60.0
     up, down = 20.0 + per_s * hour, 80.0 - per_s * hour

@@ -1,4 +1,4 @@
-"""Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
+"""Estimates of units with a loop over temperature: what is said and written."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -82,13 +82,6 @@ def test_an_exact_play_is_recovered():
             expected = value if width == 10.0 else 0.0
             assert abs(one.value - expected) < 4.0 * one.standard_deviation, (axis, width)
             assert one.standard_deviation < 0.4 * HOUR
-
-
-def test_the_bias_over_the_path_follows_the_loop():
-    report, truth = estimated()
-    curve = report.curves[int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))]
-    apart = (curve.measured - curve.model) / HOUR
-    assert np.std(apart) < 0.5 * np.std((curve.measured - curve.map) / HOUR)
 
 
 def test_what_follows_dt_dt_is_taken_off_exactly_and_plays_are_named():

@@ -129,7 +129,7 @@ def check(rig: Path, /, *, json: Json = False) -> int:
 
     description = read_rig(rig)
     reports = check_each(description, RealClock())
-    good = all(report.good for report in reports)
+    good = not any(report.problem for report in reports)
     if json:
         print(as_json([json_of(asdict(report)) for report in reports]))
     else:

@@ -107,7 +107,7 @@ def run(
 
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import dry_run_on
+    from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.setup import check_each
     from gradcal_jax.hardware.track import track_of
     from gradcal_jax.recipe.recipe import read_recipe
@@ -115,15 +115,16 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
 
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
-    plan = dry_run_on(track, check_each(bench, RealClock()))
+    reports = check_each(bench, RealClock())
+    plan = dry_run_of(track, {report.name: report.limits for report in reports})
+    problems = [*(f"{report.name}: {report.problem}" for report in reports if report.problem), *plan.problems]
     if json:
-        print(as_json(asdict(plan)))
+        print(as_json({"duration_s": track.duration_s, "devices": plan.devices, "problems": problems}))
     else:
         print("\n".join(f"{name}: {what}" for name, what in plan.devices.items()))
-        print(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
-        problems = "\n".join(plan.problems)
-        print(problems or "every device accepts the recipe; nothing was moved")
-    return FAILED if plan.problems else DONE
+        print(f"{len(track.steps)} steps, {time_text(track.duration_s)} plus waiting times")
+        print("\n".join(problems) or "every device accepts the recipe; nothing was moved")
+    return FAILED if problems else DONE
 
 
 def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
@@ -131,10 +132,10 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.track import track_of
 
-    plan = dry_run_of(track_of(recipe, [axis.name for axis in rig.axis]), None, {})
+    track = track_of(recipe, [axis.name for axis in rig.axis])
     rows = [f"{name}: {text}" for name, text in about.items()]
-    rows.append(f"takes {time_text(float(round(plan.duration_s)))} plus waiting times")
-    rows += [f"{name}: {what}" for name, what in plan.devices.items()]
+    rows.append(f"takes {time_text(float(round(track.duration_s)))} plus waiting times")
+    rows += [f"{name}: {what}" for name, what in dry_run_of(track, {}).devices.items()]
     rows.append("does everything in the chamber tolerate this; are the axes' paths clear, and the cables long enough?")
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']

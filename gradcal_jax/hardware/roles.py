@@ -6,7 +6,7 @@ The roles are `typing` protocols: a driver has the methods and inherits nothing.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -74,7 +74,6 @@ class Identity:
     model: str
     serial_number: str = ""
     firmware: str = ""
-    details: dict[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,6 @@ class ChamberLimits:
 
     lowest_c: float
     highest_c: float
-    resolution_k: float
     hardware_ramp: bool
     slowest_ramp_k_per_min: float = 0.0
     fastest_ramp_k_per_min: float = float("inf")
@@ -319,15 +317,12 @@ class ImuDecoder(Protocol):
 class ImuStream(Protocol):
     """A unit that streams; it has no unsafe state."""
 
-    settings: KeptSettings
-
     def identify(self) -> Identity: ...
     def configure(self) -> ImuSettings:
         """Bring the unit to the profile of the rig file, verify by read-back; nothing is saved to its flash."""
         ...
 
     def start(self) -> None: ...
-    def stop(self) -> None: ...
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         """Raw bytes of the stream with their time: they go to disk before they are decoded."""
         ...

@@ -164,7 +164,9 @@ class AxisLimits:
 
     @property
     def travel_deg(self) -> tuple[float, float]:
-        return travel_of(self.lowest_deg, self.highest_deg)
+        """Infinite where it has no end."""
+        lowest, highest = self.lowest_deg, self.highest_deg
+        return -math.inf if lowest is None else lowest, math.inf if highest is None else highest
 
     def beyond(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> list[str]:
         """What of a command is beyond the limits, a sentence without its subject each."""
@@ -178,11 +180,6 @@ class AxisLimits:
         if position_deg is not None and not lowest - 1e-6 <= position_deg <= highest + 1e-6:
             problems.append(f"goes to {position_deg:g} deg; its travel is {lowest:g} to {highest:g} deg.")
         return problems
-
-
-def travel_of(lowest_deg: float | None, highest_deg: float | None) -> tuple[float, float]:
-    """The ends of the travel, infinite where there are none."""
-    return -math.inf if lowest_deg is None else lowest_deg, math.inf if highest_deg is None else highest_deg
 
 
 @dataclass(frozen=True)

@@ -175,12 +175,12 @@ class Runner:
                 again = True
 
     def _seam(self, why: str) -> None:
-        self._event("seam", step=self.track.steps[self._steps_done].name, why=why)
+        self._event_of(self._steps_done, "seam", why=why)
 
     def _take_back(self, shortfall: StepNotDone) -> None:
         """This step and those after it are to be executed again."""
         number = self._steps_done if shortfall.number is None else shortfall.number
-        self._say_not_done(number, str(shortfall))
+        self._event_of(number, "not done", why=str(shortfall))
         self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
@@ -195,7 +195,7 @@ class Runner:
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
         number, axes = self._steps_done, self._axes
-        self._event("step", step=step.name, number=number)
+        self._event_of(number, "step")
         anew = again or number == self.first_step or step.stable is not None
         if anew:
             # Axes and chamber go to the step's start.
@@ -208,14 +208,14 @@ class Runner:
             self._ask(step)
         axes.late_s = 0.0 if anew else axes.late_s
         self._step_ends_s = begin + step.duration_s
-        self._event("step begins", step=step.name, number=number, begins_s=begin, data=step.data)
+        self._event_of(number, "step begins", begins_s=begin, data=step.data)
         end = self._move(step, begin, anew)
         after = self.track.steps[number + 1 :][:1]
         if not after or after[0].stable is not None or isinstance(after[0], Ask):
             axes.end_spins(step.name, step.duration_s)
         axes.settle_all(self._duties)
         axes.late_s = end - self._step_ends_s
-        self._event("step ends", at_once=False, step=step.name, number=number)
+        self._event_of(number, "step ends", at_once=False)
         return ExecutedStep(number, begin, self.clock.now(), step.turned_deg)
 
     def _move(self, step: TrackStep, begin: float, anew: bool) -> float:
@@ -306,7 +306,7 @@ class Runner:
         while self._unconfirmed and self._has_samples_of(self._unconfirmed[0]):
             if shortfall := self._shortfall_of(self._unconfirmed[0]):
                 raise shortfall
-            self._confirm(self._unconfirmed.popleft())
+            self._event_of(self._unconfirmed.popleft().number, "step done")
 
     def _has_samples_of(self, executed: ExecutedStep) -> bool:
         now = self.clock.now()
@@ -318,12 +318,6 @@ class Runner:
                 return StepNotDone(f"{name}: {lost}", executed.number, name)
         return None
 
-    def _confirm(self, executed: ExecutedStep) -> None:
-        self._event("step done", step=self.track.steps[executed.number].name, number=executed.number)
-
-    def _say_not_done(self, number: int, why: str) -> None:
-        self._event("not done", step=self.track.steps[number].name, number=number, why=why)
-
     def _await_confirmation(self) -> None:
         """Wait for the samples of the last steps, and until no rule is violated: one that is violated in the last
         seconds clears or trips before the run is done."""
@@ -334,12 +328,13 @@ class Runner:
     def _judge_the_rest(self) -> None:
         """At the end of a run that did not finish: each executed step is done, or said to be not done."""
         for executed in self._unconfirmed:
-            if shortfall := self._shortfall_of(executed):
-                self._say_not_done(executed.number, str(shortfall))
-            elif self._has_samples_of(executed):
-                self._confirm(executed)
+            why = str(self._shortfall_of(executed) or "")
+            if not (why or self._has_samples_of(executed)):
+                why = "the run ended before all of its samples had come"
+            if why:
+                self._event_of(executed.number, "not done", why=why)
             else:
-                self._say_not_done(executed.number, "the run ended before all of its samples had come")
+                self._event_of(executed.number, "step done")
         self._unconfirmed.clear()
 
     # ------------------------------------------------------------------------------------------- duties in every state
@@ -421,3 +416,7 @@ class Runner:
     def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()
         self.journal.event(self.clock.now() if at_s is None else at_s, name, at_once=at_once, **data)
+
+    def _event_of(self, number: int, name: str, **data: Any) -> None:
+        """An event of a step."""
+        self._event(name, step=self.track.steps[number].name, number=number, **data)

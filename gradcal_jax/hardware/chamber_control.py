@@ -11,6 +11,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -25,7 +26,6 @@ from gradcal_jax.hardware.track import Course, Stable
 
 _SOFT_STEP_S = 5.0
 _MOST_FAILURES = 3
-_REMEMBERED = 1 << 14
 _KNOTS = 64
 # How far a chamber may overshoot at the end of an approach, as a share of its way.
 _OVERSHOOT = 0.1
@@ -79,36 +79,34 @@ class AirCourse:
         return float(np.interp(time_s, times_s, values_c))
 
 
+@dataclass(eq=False)
 class ChamberControl:
     """Commands the chamber and keeps its readings: one thing after the other, each in a thread beside the run's, so
     that a chamber that takes seconds to acknowledge delays no move and no reading. `failed` gets the sentence that ends
     the run."""
 
-    def __init__(
-        self,
-        chamber: TemperatureChamber,
-        clock: Clock,
-        event: Tell,
-        failed: Callable[[str], None] = lambda sentence: None,
-    ) -> None:
-        self.chamber = chamber
-        self._clock, self._event, self._failed = clock, event, failed
-        # What is to be told; whether nothing is under way; when to read.
-        self._courses: deque[Course] = deque()
-        self._free = threading.Event()
+    chamber: TemperatureChamber
+    clock: Clock
+    event: Tell
+    failed: Callable[[str], None] = lambda sentence: None
+    newest: ChamberReading | None = None
+    expected: AirCourse = field(default_factory=AirCourse)
+    # What is to be told; whether nothing is under way; when it was read, and how often it could not be read.
+    _courses: deque[Course] = field(default_factory=deque[Course])
+    _free: threading.Event = field(default_factory=threading.Event)
+    _reads_s: float = -math.inf
+    _failures: int = 0
+    _history: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
+    _soft: tuple[AirCourse, float] | None = None
+    _next_soft_s: float = 0.0
+    _held_c: float | None = None
+    _conditions_since_s: float = math.inf
+    # The temperatures that the chamber reports as its limits, and that of its air at the start.
+    _range_c: tuple[float, float] = (-math.inf, math.inf)
+
+    def __post_init__(self) -> None:
         self._free.set()
-        self._reads_s = -math.inf
-        self._failures = 0
-        self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
-        # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
-        self._soft: tuple[AirCourse, float] | None = None
-        self._next_soft_s = 0.0
-        self._held_c: float | None = None
-        self._conditions_since_s = math.inf
-        # The temperatures that the chamber reports as its limits, and that of its air at the start.
-        self._range_c = (-math.inf, math.inf)
-        self.expected = AirCourse()
-        self.newest: ChamberReading | None = None
 
     def begin(self) -> None:
         """The first reading of a run."""
@@ -133,34 +131,34 @@ class ChamberControl:
 
     def attend(self, every_s: float) -> None:
         """Begin what is due beside the run: a command, or a reading `every_s`. To be called often."""
-        now = self._clock.now()
+        now = self.clock.now()
         if not self._free.is_set():
             return
         if self._courses:
-            self._free = in_thread(partial(self.follow, self._courses.popleft()), self._clock, self._not_told)
+            self._free = in_thread(partial(self.follow, self._courses.popleft()), self.clock, self._not_told)
         elif now >= self._reads_s + every_s:
             self._reads_s = now
-            self._free = in_thread(self._look, self._clock, self._not_read)
+            self._free = in_thread(self._look, self.clock, self._not_read)
 
     def end(self, longest_s: float) -> bool:
         """Whether what is under way has ended, at the latest after `longest_s`."""
-        return until(self._free.is_set, self._clock, longest_s=longest_s)
+        return until(self._free.is_set, self.clock, longest_s=longest_s)
 
     def _not_told(self, problem: Exception) -> None:
-        self._failed(f"The temperature profile could not be sent to the chamber: {problem}")
+        self.failed(f"The temperature profile could not be sent to the chamber: {problem}")
 
     def _not_read(self, problem: Exception) -> None:
         self._failures += 1
-        self._event("chamber not read", at_once=False, problem=str(problem))
+        self.event("chamber not read", at_once=False, problem=str(problem))
         if self._failures == _MOST_FAILURES or isinstance(problem, Disconnected):
-            self._failed(f"The chamber cannot be read: {problem}")
+            self.failed(f"The chamber cannot be read: {problem}")
 
     def _look(self) -> None:
         self._step_soft_ramp()
         reading = self.chamber.read()
         self.heard(reading)
         self._failures = 0
-        self._event("chamber", at_once=False, **event_fields(reading))
+        self.event("chamber", at_once=False, **event_fields(reading))
 
     def follow(self, course: Course) -> None:
         """Follow a course: by the controller's own ramp where it has the planned one, else by set points."""
@@ -169,7 +167,7 @@ class ChamberControl:
         if rate is None:
             if self._held_c != at_c:
                 self._set(at_c)
-                self._event("chamber told", hold_c=at_c)
+                self.event("chamber told", hold_c=at_c)
             return
         self._held_c = None
         command: dict[str, Any] = {"ramp_to_c": at_c, "asked_k_per_min": rate}
@@ -177,21 +175,21 @@ class ChamberControl:
         step = limits.ramp_step_k_per_min
         made = step * max(1, round(rate / step)) if step else rate
         if self._started and not now.conditioning:
-            self._event("chamber not told", **command, why="it is off, and this run did not switch it off")
+            self.event("chamber not told", **command, why="it is off, and this run did not switch it off")
         elif limits.hardware_ramp and abs(made - rate) <= _ROUNDED * rate:
             command["k_per_min"] = self.chamber.ramp(at_c, rate)
             self._conditioned()
-            self._event("chamber told", **command)
+            self.event("chamber told", **command)
         else:
-            soft, self._next_soft_s = AirCourse(), self._clock.now()
+            soft, self._next_soft_s = AirCourse(), self.clock.now()
             soft.stands(self._next_soft_s, now.setpoint_c)
             soft.ramps(self._next_soft_s, at_c, rate)
             self._soft = soft, at_c
-            self._event("chamber told", **command, k_per_min=rate, by="steps of the runner")
+            self.event("chamber told", **command, k_per_min=rate, by="steps of the runner")
 
     def _step_soft_ramp(self) -> None:
         """Continue a ramp by set points, at least five seconds apart."""
-        now = self._clock.now()
+        now = self.clock.now()
         if self._soft is None or now < self._next_soft_s:
             return
         ramp, target_c = self._soft
@@ -213,7 +211,7 @@ class ChamberControl:
         return math.isfinite(self._conditions_since_s)
 
     def _conditioned(self) -> None:
-        self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
+        self._conditions_since_s = min(self._conditions_since_s, self.clock.now())
 
     @property
     def newest_c(self) -> float:
@@ -223,7 +221,7 @@ class ChamberControl:
     def is_stable_at(self, temperature_c: float, wanted: Stable) -> bool:
         """Whether the temperature has been stable for the required time."""
         lowest, highest, latest_s = math.inf, -math.inf, self._history[-1][0]
-        for time_s, value in reversed(list(self._history)):
+        for time_s, value in reversed(self._history):
             lowest, highest = min(lowest, value), max(highest, value)
             if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
                 return False
@@ -253,7 +251,7 @@ class ChamberControl:
         return ""
 
     def _off_course(self, reading: ChamberReading, limits: InterlockLimits) -> str:
-        course_c = self.expected.of_late(self._clock.now(), limits.temperature_lag_s)
+        course_c = self.expected.of_late(self.clock.now(), limits.temperature_lag_s)
         if course_c is None:
             return ""
         low, high = course_c

@@ -171,8 +171,9 @@ class Guard:
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
                 "the guard's message above."
             )
-        # A guard that does not listen delays no run.
-        os.set_blocking(self._input.fileno(), False)
+        # A guard that does not listen delays no run. Windows has this from Python 3.12 on.
+        with suppress(AttributeError):
+            os.set_blocking(self._input.fileno(), False)
         for line in self._said:
             self._say(line)
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.model import BodyNodes, NodeGroup
 from gradcal_jax.motion import Geometry, body_group, frames, lagrange, quadrature
 
 # Time after and before, over which dT/dt is measured, s.
@@ -45,7 +45,7 @@ NO_ERRORS: Final = AngleErrors()
 
 class PieceCourse(NamedTuple):
     """What does not depend on the table's errors, of the pieces `kinds` with so many nodes each: the angle `since` the
-    begin of the move (rad) and the `speed` (rad/s) of its axis `(k, q)`, and as in `BodyGroup`."""
+    begin of the move (rad) and the `speed` (rad/s) of its axis `(k, q)`, and as in `NodeGroup`."""
 
     kinds: np.ndarray
     since: np.ndarray
@@ -111,7 +111,7 @@ def nodes_of_rows(
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
     before, after = motion.angles()
 
-    def group(of: PieceCourse) -> BodyGroup:
+    def group(of: PieceCourse) -> NodeGroup:
         own = motion.turns[of.kinds][:, None, :]
         angle = before[of.kinds][:, None, :] + np.where(own, of.since[..., None], 0.0)
         error, slope = errors(angle)

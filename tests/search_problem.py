@@ -99,7 +99,7 @@ max_acceleration = "300 deg/s^2"
 travel           = "unlimited"
 [rig.table.axis.angle]
 reading_noise = "0.05 deg"
-read_every = "20 s"
+read_every = "5 s"
 [rig.chamber]
 range       = ["-40 degC", "85 degC"]
 max_heating = "2 K/min"

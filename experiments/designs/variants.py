@@ -62,9 +62,8 @@ def spec_of(name: str) -> Spec:
 
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
-    from gradcal_jax.design.optimise import optimise
+    from gradcal_jax.design.optimise import optimise, record_of
     from gradcal_jax.design.recipe_of_plan import make_recipe
-    from gradcal_jax.design.searching import record_of
 
     spec = spec_of(name)
     begun = time.process_time()

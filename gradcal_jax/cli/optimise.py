@@ -32,8 +32,7 @@ from gradcal_jax.tables.table import Table
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.design.optimise import FrontierPoint
-    from gradcal_jax.design.searching import Optimised, SearchStep
+    from gradcal_jax.design.optimise import FrontierPoint, Optimised, SearchStep
     from gradcal_jax.spec.spec_sections import Spec
 
 
@@ -45,7 +44,6 @@ def optimise(
     json: Json = False,
     plot: Plot = None,
     steps: int | None = None,
-    quick: Flag = False,
     until_met: Flag = False,
     motion: str | None = None,
     force: Force = False,
@@ -75,10 +73,8 @@ def optimise(
         Draw the errors before and after the search (with --motion, the errors for each duration) into this file (.png,
         .svg, .pdf).
     steps
-        Number of gradients in all, by default 14000, of a single axis 4500 (some minutes). 0: write the plan in the
-        spec as a recipe, without a search.
-    quick
-        Use only a few gradients; this takes seconds, and the result is within a few per cent of the best.
+        Number of gradients in all, by default 14000, of a single axis 4500 (some minutes); with a tenth of them, the
+        result is within a few per cent of the best. 0: write the plan in the spec as a recipe, without a search.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already meets
         them, do not search.
@@ -93,12 +89,12 @@ def optimise(
 
     specification = spec_in(spec)
     if motion is not None:
-        _refuse("with --motion", {"--until-met": until_met, "--quick": quick})
+        _refuse("with --motion", {"--until-met": until_met})
         times = durations(motion)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
     if steps == 0:
-        _refuse("with --steps 0", {"--until-met": until_met, "--quick": quick, "--plot": plot})
+        _refuse("with --steps 0", {"--until-met": until_met, "--plot": plot})
     if output is None:
         raise ValueError("name the recipe to write, such as -o recipe.toml")
     if str(output) != "-":
@@ -109,11 +105,11 @@ def optimise(
     if steps == 0:
         write_recipe(specification, output, json=json)
         return DONE
+    from gradcal_jax.design.optimise import record_of
     from gradcal_jax.design.recipe_of_plan import make_recipe
-    from gradcal_jax.design.searching import record_of
     from gradcal_jax.tables.writing import write_toml
 
-    best, interrupted = search_and_watch(specification, steps=steps, quick=quick, until_met=until_met)
+    best, interrupted = search_and_watch(specification, steps=steps, until_met=until_met)
     status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
     result = make_recipe(best, status=status)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
@@ -136,16 +132,15 @@ def _refuse(where: str, options: Mapping[str, object]) -> None:
         raise ValueError(f"{', '.join(given)}: no effect {where}; leave {'it' if len(given) == 1 else 'them'} out")
 
 
-def search_and_watch(spec: "Spec", *, quick: bool = False, **options: Any) -> tuple["Optimised", bool]:
+def search_and_watch(spec: "Spec", **options: Any) -> tuple["Optimised", bool]:
     """The best plan, with a line of progress; and whether Ctrl-C ended the search. `options`: of
     `design.optimise.run_search`."""
-    from gradcal_jax.design.optimise import run_search
-    from gradcal_jax.design.searching import Optimised
+    from gradcal_jax.design.optimise import Optimised, run_search
 
     best: Optimised | None = None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         line.show("compiling the objective and its gradient: 10 to 30 s")
-        for event in run_search(spec, quick=quick, stop=lambda: interrupt.asked, **options):
+        for event in run_search(spec, stop=lambda: interrupt.asked, **options):
             if isinstance(event, Optimised):
                 best = event
             else:
@@ -251,7 +246,7 @@ def show_frontier(
         line.show(f"{time_text(motion)}: {step.share:4.0%}  {best}", number=(motion, best))
 
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier_points(spec, times, steps=steps, watch=show):
+        for point in room.frontier(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(make_recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")

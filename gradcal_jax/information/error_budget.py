@@ -113,7 +113,7 @@ def _active_sources(built: BuiltImu) -> list[str]:
     """Names of the noise sources that are not zero and act on this plan."""
     line = built.motion.line
     unread = {"reading noise", "standstill offset", "timing error"} if line.rates else {"rate accuracy"}
-    if built.model.encoder.held or not len(line.moving_pieces):
+    if built.model.encoder.held or not np.any(line.moving):
         unread.add("timing error")
     return [name for name in noise_sizes(built) if name not in unread]
 

@@ -145,6 +145,6 @@ def _of_plan(of: Differentiable) -> dict[str, tuple[Change, float]]:
     figures: dict[str, tuple[Change, float]] = {TIME: (longer, step)}
     # Where functions of the rate are divided, faster turns divide the pieces elsewhere.
     divided = any(isinstance(t, Map) and t.rate is not None and t.rate.breaks for t in built.model.terms)
-    if len(line.moving_pieces) and not divided:
+    if np.any(line.moving) and not divided:
         figures[RATES] = faster, _SMALL_STEP if kept else step
     return figures

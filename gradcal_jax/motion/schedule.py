@@ -6,10 +6,12 @@ computation like its times and rates, so that a compiled program serves every pl
 Symbols: `M` moves, `P` pieces, `F` fillers (standing that fills what the moves of a stretch leave of it).
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -55,8 +57,8 @@ class Schedule(PytreeModule):
     """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` last for the
     time between the knots `fill_from` and `fill_to` of the programme less that of all moves, `fill_counts` times each.
 
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces. `cut`: whether knots of the
-    programme may divide pieces. The first piece begins at the knot `first_knot`. `rates`: the reference is a held rate
+    `varying_pieces`: the numbers of those whose rate is not constant. `cut`: whether knots of the programme may divide
+    pieces. The first piece begins at the knot `first_knot`. `rates`: the reference is a held rate
     at set points (standard method) instead of an angle; `points`: whether the set points share the run's noise or are
     independent.
     """
@@ -66,7 +68,6 @@ class Schedule(PytreeModule):
     ramp: Float[AnyArray, " M"]
     programme: Programme
     pieces: Pieces
-    moving_pieces: Int[AnyArray, " K"]
     varying_pieces: Int[AnyArray, " V"]
     fill_move: Int[AnyArray, " F"]
     fill_from: Int[AnyArray, " F"]
@@ -130,7 +131,6 @@ class Schedule(PytreeModule):
             moving=p.moving,
             gap=p.gap,
             segment=p.segment,
-            moving_pieces=self.moving_pieces,
             varying_pieces=self.varying_pieces,
             rates=self.rates,
             points=self.points,
@@ -168,11 +168,9 @@ def make_schedule(
     fillers = fillers or []
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
-    moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
     schedule = Schedule(
-        duration, peak, ramp, programme, pieces, moving,
-        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates,
-        points,
+        duration, peak, ramp, programme, pieces, np.flatnonzero(pieces.varying),
+        fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates, points,
     )  # fmt: skip
     return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule
 
@@ -181,23 +179,16 @@ def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
     """Divide pieces at the instants at which the chamber changes its slope, so that every piece is smooth."""
     line, times = schedule.trajectory(), schedule.programme.times()
     begin, end = line.start, line.start + line.duration
-    source, low, high = [], [], []
-    inside = {
-        int(k): [j for j in knots if begin[k] < times[j] - _AT_KNOT and end[k] > times[j] + _AT_KNOT]
-        for j0 in knots
-        for k in np.flatnonzero((begin < times[j0]) & (end > times[j0]))
-    }
-    for k in range(len(begin)):
-        bounds = [_NO_KNOT, *inside.get(k, []), _NO_KNOT]
-        for a, b in pairwise(bounds):
-            source.append(k)
-            low.append(a)
-            high.append(b)
-    at = np.array(source)
-    fields = {name: getattr(schedule.pieces, name)[at] for name in schedule.pieces.__dataclass_fields__}
-    pieces = Pieces(**(fields | {"low": np.array(low), "high": np.array(high)}))
-    places = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
-    return eqx.tree_at(lambda s: (s.pieces, s.moving_pieces, s.varying_pieces), schedule, (pieces, *places))
+    at = times[list(knots)]
+    divided, k = np.nonzero((begin[:, None] < at - _AT_KNOT) & (end[:, None] > at + _AT_KNOT))
+    # A piece begins at its own begin, or at one of the knots within it.
+    number = np.concatenate([np.arange(len(begin)), divided])
+    low = np.concatenate([np.full(len(begin), _NO_KNOT), np.array(knots)[k]])
+    order = np.lexsort((low, number))
+    number, low = number[order], low[order]
+    high = np.where(np.diff(number, append=-1) == 0, np.append(low[1:], _NO_KNOT), _NO_KNOT)
+    pieces = replace(jax.tree.map(lambda of: of[number], schedule.pieces), low=low, high=high)
+    return replace(schedule, pieces=pieces, varying_pieces=np.flatnonzero(pieces.varying))
 
 
 def gradient_plan(
@@ -207,13 +198,14 @@ def gradient_plan(
     *,
     used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
+    divided: bool = True,
 ) -> Schedule:
     """Repeat the `moves`, each time with the moves `after` of other axes, as often as they fit into the used parts of a
     programme.
 
     `used`: (first, last) of the programme's stretches, last not included; None: all.
-    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end. Errors:
-    `ValueError` when the moves fit nowhere.
+    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end.
+    `divided`: pieces end where the chamber's slope changes. Errors: `ValueError` when the moves fit nowhere.
     """
     times = programme.times()
     own = sum(m.duration for m in moves)
@@ -250,8 +242,8 @@ def gradient_plan(
         raise ValueError(
             f"the moves take {own:.6g} s, longer than every used part of the temperature programme: shorten the moves"
         )
-    inner = [j for first, last in spans for j in range(first + 1, last)]
-    inner += [j for a, b in pairwise(spans) for j in range(a[1] + 1, b[0])]
+    parts = [*spans, *((a[1], b[0]) for a, b in pairwise(spans))] if divided else []
+    inner = [j for first, last in parts for j in range(first + 1, last)]
     fillers = [(m, a, b, np.pad(c, (0, len(numbers) - len(c)))) for m, a, b, c in fillers]
     return make_schedule(
         programme, numbers, placed, first_knot=spans[0][0], gaps=tuple(gaps), fillers=fillers, inner_knots=tuple(inner)

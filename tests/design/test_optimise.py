@@ -5,16 +5,14 @@ import re
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from nothing_omitted import with_nothing_omitted
 from search_problem import SPEC, exact, targets_met
 
 import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.optimise import FrontierPoint, belief_of, run_search, shortest
+from gradcal_jax.design.optimise import FrontierPoint, Optimised, belief_of, run_search, shortest
 from gradcal_jax.design.plan_limit import limit
-from gradcal_jax.design.searching import Optimised
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.spec import spec as spec_file
 from gradcal_jax.spec.changes import changed, tables_of
@@ -52,29 +50,8 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     (as_often,) = limit(changed(spec, {"plan.cycle.moves[0].read_every": closest}))
     assert as_often.certified <= before.certified * (1.0 + 1e-9)
     assert after.certified == pytest.approx(as_often.certified, rel=2e-3)
-    assert before.certified <= before.reached * (1 + 1e-9)
     assert before.certified < best.now
     assert after.efficiency == pytest.approx(after.certified / best.now)
-
-
-@pytest.mark.long
-def test_a_quick_search_is_near(spec, best):
-    *steps, quick = run_search(spec, quick=True)
-    assert isinstance(quick, Optimised)
-    assert quick.now < 1.1 * best.now
-    assert len(steps) < 30
-
-
-@pytest.mark.long
-def test_the_recipe_of_limited_travel_is_better_and_stays_within_it(spec):
-    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
-    moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
-    given = changed(spec, {"rig.table.axis[0].travel": "360 deg", "plan.cycle.moves": moves})
-    *_, best = run_search(given, steps=600)
-    assert isinstance(best, Optimised)
-    assert best.now < 0.5 * best.before
-    places = np.cumsum([s.move.angle for s in best.spec.gradient_schedule.steps])
-    assert np.max(np.abs(places)) <= math.radians(360.0) * (1 + 1e-9)
 
 
 def test_a_stopped_search_ends_with_the_best_plan_so_far_and_no_polish(spec):
@@ -86,7 +63,7 @@ def test_a_stopped_search_ends_with_the_best_plan_so_far_and_no_polish(spec):
 def test_steps_of_a_search_are_logged(spec, caplog):
     steps = []
     with caplog.at_level("INFO", "gradcal_jax"):
-        found = gj.optimise(spec, quick=True, watch=steps.append)
+        found = gj.optimise(spec, steps=400, watch=steps.append)
     of_search = [record.getMessage() for record in caplog.records if record.name == "gradcal_jax.design.optimise"]
     assert len(of_search) == len(steps) + 1
     assert len(steps) > 1

@@ -171,17 +171,15 @@ def gyro(
     rate_basis=CONSTANT,
 ) -> Channel:
     """A gyro with the given `terms`; flat priors but for `std` by symbol (`b`, `s`, `m`, `g`)."""
-    prior, own = {"b": np.inf, "s": np.inf, "m": np.inf, "g": np.inf} | (std or {}), terms.split()
-    chosen: list[model.Term] = []
-    if "b" in own:
-        chosen.append(make_map(basis, numbered=True, prior_std=prior["b"]))
-    if "s" in own:
-        named: dict[str, Any] = {"name": SCALE_FACTOR, "symbol": "b", "unit": "1", "signals": (f"rate {AXES[axis]}",)}
-        chosen.append(make_map(basis, rate_basis, prior_std=prior["s"], **named))
-    if "m" in own:
-        chosen += [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis]
-    if "g" in own:
-        chosen += [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES]
+    prior, others = dict.fromkeys("bsmg", np.inf) | (std or {}), [o for o in AXES if o != AXES[axis]]
+    named: dict[str, Any] = {"name": SCALE_FACTOR, "symbol": "b", "unit": "1", "signals": (f"rate {AXES[axis]}",)}
+    of = {
+        "b": [make_map(basis, numbered=True, prior_std=prior["b"])],
+        "s": [make_map(basis, rate_basis, prior_std=prior["s"], **named)],
+        "m": [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for o in others],
+        "g": [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES],
+    }
+    chosen = [term for symbol in terms.split() for term in of[symbol]]
     processes = _drifts(drift)
     for sigma, tau in instability:
         processes += model.gauss_markov(sigma, tau, bias_gain=0.0, rate_gain=1.0)
@@ -198,19 +196,15 @@ def accelerometer(
     basis=CONSTANT,
 ) -> Channel:
     """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`."""
-    prior = dict.fromkeys(("b", "s", "m", "k2"), np.inf) | (std or {})
-    own, along = terms.split(), f"force {AXES[axis]}"
-    chosen: list[model.Term] = []
-    if "b" in own:
-        chosen.append(_signal("b", (), "m/s^2", prior["b"], basis))
-    if "s" in own:
-        chosen.append(_signal("s", (along,), "1", prior["s"], basis))
-    if "m" in own:
-        chosen += [
-            _signal(f"m_{o}", (f"force {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis
-        ]
-    if "k2" in own:
-        chosen.append(_signal("k2", (along, along), "1/(m/s^2)", prior["k2"]))
+    prior, others = dict.fromkeys(("b", "s", "m", "k2"), np.inf) | (std or {}), [o for o in AXES if o != AXES[axis]]
+    along = f"force {AXES[axis]}"
+    of = {
+        "b": [_signal("b", (), "m/s^2", prior["b"], basis)],
+        "s": [_signal("s", (along,), "1", prior["s"], basis)],
+        "m": [_signal(f"m_{o}", (f"force {o}",), "rad", prior["m"], basis) for o in others],
+        "k2": [_signal("k2", (along, along), "1/(m/s^2)", prior["k2"])],
+    }
+    chosen = [term for symbol in terms.split() for term in of[symbol]]
     return Channel(tuple(chosen), np.asarray(white), _drifts(drift), "accelerometer", axis)
 
 

@@ -16,12 +16,6 @@ def exact(spec: Spec) -> float:
     return of.shown(of.left(spec))
 
 
-def targets_met(spec: Spec) -> bool:
-    """Whether the spec's own plan meets every target with the margin of `--until-met`."""
-    of = ExactObjective(spec)
-    return of.met(of.left(spec))
-
-
 IMU = Path(__file__).parents[1] / "experiments" / "imu"
 LINE = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 

@@ -178,7 +178,7 @@ class PlanValue:
         first = np.searchsorted(pieces.segment, pieces.segment)
         place = np.stack([pieces.move, np.arange(len(slot)) - first, mounting])
         _, example, kind = np.unique(place, axis=1, return_index=True, return_inverse=True)
-        kind, nodes = np.reshape(kind, -1), self._nodes(built, turns[example], pieces.varying[example])
+        kind, nodes = np.reshape(kind, -1), self._nodes(built, turns[example], pieces.of.varying[example])
         table, start = jax.tree.map(jnp.asarray, geometry(spec.rig)), np.asarray(self.coordinates.limits.start)
         before, others = (course_before(spec), model.others) if model.knows_path else (None, ())
         motion = TableMotion(track, axis, mounting, table, start, kind, example, nodes, before, others)

@@ -30,23 +30,15 @@ _AT_KNOT = 1e-6
 
 
 class Pieces(PytreeModule):
-    """Properties of every piece: `(P,)` arrays; see `motion.PieceTable` for the first ones.
+    """Pieces `(P,)`, `of` their moves.
 
     `move`: index of the move with its times and rates; `segment` numbers the executed moves. `gap`: its data are not
     used, and a new origin is read at its end. A piece is the part of its move's piece from the knot `low` of the
     programme to the knot `high` (−1: no knot), so that the temperature within is smooth.
     """
 
+    of: PieceTable
     move: Int[AnyArray, " P"]
-    by_duration: Float[AnyArray, " P"]
-    by_ramp: Float[AnyArray, " P"]
-    u_start: Float[AnyArray, " P"]
-    u_end: Float[AnyArray, " P"]
-    terms: Float[AnyArray, "P 10"]
-    read: Bool[AnyArray, " P"]
-    at_rest: Bool[AnyArray, " P"]
-    moving: Bool[AnyArray, " P"]
-    varying: Bool[AnyArray, " P"]
     gap: Bool[AnyArray, " P"]
     segment: Int[AnyArray, " P"]
     low: Int[AnyArray, " P"]
@@ -90,10 +82,10 @@ class Schedule(PytreeModule):
 
     def trajectory(self, thermal_lag: Float[AnyArray, ""] | float | None = None) -> Trajectory:
         """The plan's trajectory; `thermal_lag` s, of the sensor behind the chamber."""
-        p = self.pieces
+        p, of = self.pieces, self.pieces.of
         durations = self.durations()
         xp = namespace(durations, self.peak_rate, p, self.programme, thermal_lag)
-        whole = (p.u_end - p.u_start) * (p.by_duration * durations[p.move] + p.by_ramp * self.ramp[p.move])
+        whole = (of.u_end - of.u_start) * (of.by_duration * durations[p.move] + of.by_ramp * self.ramp[p.move])
         sensor = self.programme.sensor(thermal_lag)
         # The whole time of a divided piece counts once, at the end of its last part.
         last = p.high < 0
@@ -104,13 +96,13 @@ class Schedule(PytreeModule):
             # A piece of 1e-100 s counts as none: the inverse of its square, in a slope, would overflow.
             return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 1e-100, whole, 1.0)
 
-        duration, start, u_start, u_end = whole, begins, p.u_start, p.u_end
+        duration, start, u_start, u_end = whole, begins, of.u_start, of.u_end
         if self.cut:
             v0 = xp.where(p.low < 0, 0.0, fraction(p.low))
             v1 = xp.where(last, 1.0, fraction(p.high))
             duration, start = whole * (v1 - v0), begins + whole * v0
-            width = p.u_end - p.u_start
-            u_start, u_end = p.u_start + width * v0, p.u_start + width * v1
+            width = of.u_end - of.u_start
+            u_start, u_end = of.u_start + width * v0, of.u_start + width * v1
         # The middle of a piece defines its stretch: at its start rounding would decide.
         middle = start + 0.5 * duration
         within = xp.clip(xp.searchsorted(sensor.times, middle, side="right") - 1, 0, sensor.slope.shape[0] - 1)
@@ -120,15 +112,15 @@ class Schedule(PytreeModule):
             duration=duration,
             u_start=u_start,
             u_end=u_end,
-            terms=p.terms * self.peak_rate[p.move][:, None],
+            terms=of.terms * self.peak_rate[p.move][:, None],
             share=xp.ones(duration.shape),
             level=sensor.level[within] + sensor.slope[within] * since,
             slope=sensor.slope[within],
             excess=sensor.excess[within] * (1.0 if thermal_lag is None else xp.exp(-sensor.lag_rate * since)),
             lag_rate=sensor.lag_rate,
-            read=p.read & last,
-            at_rest=p.at_rest & (last | ~p.moving),
-            moving=p.moving,
+            read=of.read & last,
+            at_rest=of.at_rest & (last | ~of.moving),
+            moving=of.moving,
             gap=p.gap,
             segment=p.segment,
             varying_pieces=self.varying_pieces,
@@ -161,15 +153,13 @@ def make_schedule(
     count = len(segment)
     whole = np.full(count, _NO_KNOT)
     move = np.repeat(np.array([move for move, _ in placed]), sizes)
-    gap = np.isin(segment, np.array(gaps, int))
-    beside = {"gap": gap, "segment": segment, "low": whole, "high": whole}
-    pieces = Pieces(move=move, **{name: np.asarray(of) for name, of in table._asdict().items()}, **beside)
+    pieces = Pieces(table, move, np.isin(segment, np.array(gaps, int)), segment, whole, whole)
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
     schedule = Schedule(
-        duration, peak, ramp, programme, pieces, np.flatnonzero(pieces.varying),
+        duration, peak, ramp, programme, pieces, np.flatnonzero(pieces.of.varying),
         fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates, points,
     )  # fmt: skip
     return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule
@@ -188,7 +178,7 @@ def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
     number, low = number[order], low[order]
     high = np.where(np.diff(number, append=-1) == 0, np.append(low[1:], _NO_KNOT), _NO_KNOT)
     pieces = replace(jax.tree.map(lambda of: of[number], schedule.pieces), low=low, high=high)
-    return replace(schedule, pieces=pieces, varying_pieces=np.flatnonzero(pieces.varying))
+    return replace(schedule, pieces=pieces, varying_pieces=np.flatnonzero(pieces.of.varying))
 
 
 def gradient_plan(

@@ -70,9 +70,6 @@ def test_the_targets_of_other_requirements_limit_a_search():
     *_, best = run_search(small(**minimising(name, **{other.quantity: f"{target} {unit}"})), steps=200)
     assert best.converged
     assert best.rows[1].now <= target < free.rows[1].now
-    *_, never = run_search(small(**minimising(name, **{other.quantity: f"{1e-6 * target} {unit}"})), steps=40)
-    assert not never.converged
-    assert f"meets the target of {other.name}" in never.sentence
 
 
 @pytest.mark.long

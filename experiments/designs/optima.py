@@ -124,6 +124,7 @@ def search(name: str) -> dict[str, object]:
 def table(results: dict[str, dict]) -> str:
     """The rows as Markdown."""
     head = (__doc__ or "").partition("\n\n")[2].partition("\n\n")[2].strip()
+    head = " ".join(head.split())
     lines = ["# Optima of searches", "", "By `python experiments/designs/optima.py`. " + head, ""]
     lines += ["| case | objective | before | now | gain | evaluations | first, s | processor time, s | commit |"]
     lines += ["|---" * 9 + "|"]

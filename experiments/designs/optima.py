@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import gradcal_jax as gj
 from gradcal_jax.cli.precision import use_float64
@@ -26,7 +27,7 @@ IMU, RECIPES, KEPT = HERE.parent / "imu", HERE.parent / "recipes", HERE / "optim
 RANDOM_TURNS, SEEDS = 30, 5
 
 
-def hidden(each: str) -> dict[str, object]:
+def hidden(each: str) -> dict[str, Any]:
     """The polynomials after the cubics, up to degree 5 x 5, with a standard deviation each."""
     return {"standard_deviation": each, "temperature_degree": 5, "rate_degree": 5}
 
@@ -41,7 +42,7 @@ REALISTIC = {
 }
 BIAS = {"temperature": {"degree": 3, "centre": "20 degC", "scale": "50 K"}}
 # Changes of headline.toml.
-HEADLINE: dict[str, dict[str, object]] = {f"headline, seed {seed}": {"design.seed": seed} for seed in range(SEEDS)} | {
+HEADLINE: dict[str, dict[str, Any]] = {f"headline, seed {seed}": {"design.seed": seed} for seed in range(SEEDS)} | {
     # More starts, as there are many local optima.
     "cycle length free": {"design.free": ["cycle"], "design.starts": 64},
     "bias unknown": {"sensor.gyro.bias": BIAS, "design.seed": 1},
@@ -97,7 +98,7 @@ def random_start(spec: gj.Spec, seed: int) -> gj.Spec:
     return plan.spec_of(plan.start._replace(turns=turns))
 
 
-def search(name: str) -> dict[str, object]:
+def search(name: str) -> dict[str, Any]:
     """The row of a case."""
     from gradcal_jax.design.optimise import Optimised, run_search
 

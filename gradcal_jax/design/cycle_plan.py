@@ -160,9 +160,10 @@ class CyclePlan:
 
     def in_words(self, of: Proposal) -> str:
         """The structure of a proposal and its course."""
-        words, visits = f"{len(of.turns)} turns in each of {self.cycles} cycles", self.coordinates.visits
+        words, visits = f"{len(of.turns)} turns", self.coordinates.visits
         if self._times is not None:
-            words = f"{self.cycles} cycles of {visits.number} visits of {visits.own:.0f} s, each with its own moves"
+            words = f"{visits.number} visits of {visits.own:.0f} s, each with its own moves"
+        words += f" in each of {self.cycles} cycles" if self.cycles > 1 else ""
         if self.course is None:
             return words
         course = " \u2192 ".join(f"{t:.3g}" for t in self.course.knots(np.array(of.course)))

@@ -1,16 +1,14 @@
-"""`optimise`: the best plan for a spec. `frontier`: the best plan for each of several durations.
+"""`optimise`: the best plan for a spec.
 
 Whatever a search proposes becomes a plan as a recipe rounds it, which counts as `predict` evaluates it.
 """
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from statistics import fmean
 from typing import Any, Final, NamedTuple
-
-import numpy as np
 
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.plan_objective import MARGIN, MET, RequirementChange
@@ -131,22 +129,19 @@ def run_search(
     *,
     steps: int | None = None,
     until_met: bool = False,
-    motion: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
     """The search of `optimise`: a `SearchStep` every few iterations and the `Optimised` plan at the end.
 
-    `motion` s: time without soaks, in the place of [design]'s or the plan's. `stop`: called after every step; once
-    true, the best plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be
-    observed, the table is turned by hand or, with `until_met`, there is no target.
+    `stop`: called after every step; once true, the best plan so far is finished. Errors: `ValueError` when limits
+    exclude each other, nothing can be observed, the table is turned by hand or, with `until_met`, there is no target.
     """
     spec = expect_spec(spec)
     stands, design = not spec.gradient_schedule.steps, spec.design or Design()
     if spec.rig.table.drive == "hand" and not stands:
         raise ValueError(BY_HAND)
-    if motion is None and (design.max_motion or design.max_total):
-        motion = motion_time(spec, design)
-    timed = spec if motion is None else with_motion(spec, motion)
+    limited = design.max_motion or design.max_total
+    timed = with_motion(spec, motion_time(spec, design)) if limited else spec
     visited = spec.turns_one_gyro and not stands
     plans = [CyclePlan(timed, times) for times in visit_choices(timed, design)] if visited else [CyclePlan(timed)]
     yield from _improved(PoseSearch(plans, steps, stop), until_met=until_met)
@@ -215,61 +210,3 @@ def belief_of(spec: Spec) -> str:
         f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
         "spec; if the spec states a discrepancy, the plan is robust against deviations from this structure"
     )
-
-
-# --- plans of several durations ---------------------------------------------------------------------------------------
-
-_BLIND: Final = (
-    "in every plan found for this duration, some requirements are not observable: increase moves in [design]"
-)
-
-
-class FrontierPoint(NamedTuple):
-    """A ramp of `motion` s, without soaks, with its best plan, or the `reason` why there is none."""
-
-    motion: float
-    plan: Optimised | None
-    reason: str
-
-    __repr__ = summary
-
-
-def frontier(
-    spec: Spec,
-    motion_s: Sequence[float],
-    *,
-    steps: int | None = None,
-    watch: Callable[[float, SearchStep], None] = lambda _, __: None,
-) -> Iterator[FrontierPoint]:
-    """The best plan for each of several durations of the ramp, `motion_s` in s, soaks not counted; one after another.
-
-    `watch` is called at every step. Errors: as `optimise`, where only one duration was asked for.
-    """
-    for time in motion_s:
-        try:
-            for event in run_search(spec, steps=steps, motion=time):
-                if isinstance(event, Optimised):
-                    found = np.isfinite(event.now)
-                    yield FrontierPoint(time, event if found else None, event.sentence if found else _BLIND)
-                else:
-                    watch(time, event)
-        except ValueError as error:
-            if len(motion_s) == 1:
-                raise
-            yield FrontierPoint(time, None, str(error))
-
-
-def shortest(points: list[FrontierPoint], target: float) -> float | None:
-    """The motion time (s) at which the frontier crosses `target`, between its points; None where it does not.
-
-    Between points the logarithm of the residual is taken as linear in that of the time.
-    """
-    known = sorted((p.motion, p.plan.now) for p in points if p.plan is not None and np.isfinite(p.plan.now))
-    times, values = np.array(known).reshape(-1, 2).T
-    # A longer plan can do what a shorter one does and then wait, so the frontier never rises.
-    best, first = np.unique(np.minimum.accumulate(values), return_index=True)
-    if not np.any(best <= target):
-        return None
-    if best[-1] <= target:
-        return float(times[0])
-    return float(np.exp(np.interp(np.log(target), np.log(best), np.log(times[first]))))

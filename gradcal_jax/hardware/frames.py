@@ -111,7 +111,7 @@ class Stamp(Number):
 
 
 class FrameColumn(Number):
-    """`[gyro]`, `[acceleration]`, `[temperature]`, `[second_temperature]`."""
+    """`[gyro]`, `[acceleration]`, `[temperature]`."""
 
     counts: Annotated[float, Field(gt=0.0)] = 1.0
     """Counts of one unit: a value is the number divided by it."""
@@ -170,8 +170,6 @@ class FramedSensor(DescribedSensor):
     """Accelerations."""
     temperature: FrameTemperatures | None = None
     """Temperatures of the gyros."""
-    second_temperature: FrameTemperatures | None = None
-    """A second thermometer, or the temperatures of the accelerometers."""
     status: Status | None = None
     """Status of the sample."""
 

@@ -22,7 +22,6 @@ QUANTITIES: Final = {
     "gyro": ("deg/s", 1.0),
     "acceleration": ("mg", 1e-3),
     "temperature": ("degC", 1.0),
-    "second_temperature": ("degC", 1.0),
 }
 Stamped = Literal["count", "time", ""]
 
@@ -79,7 +78,7 @@ class SampleDecoder:
         if count:
             self._newest = float(stamps[-1]), float(counts[-1])
         absent = np.full((len(stamps), 3), np.nan)
-        gyro, acceleration, temperature, second = (values.get(name, absent)[kept] for name in QUANTITIES)
+        gyro, acceleration, temperature = (values.get(name, absent)[kept] for name in QUANTITIES)
         more = {name: of[kept] for name, of in more.items()}
         more["restarted"] = restarted | more.get("restarted", False)
         return imu_batch(
@@ -88,7 +87,6 @@ class SampleDecoder:
             gyro,
             acceleration,
             temperature,
-            second_c=second.mean(axis=1),
             gap_before=np.maximum(np.rint(steps / self._step).astype(np.int64) - 1, 0),
             disturbed=disturbed[kept] & bool(self.round_samples),
             **more,

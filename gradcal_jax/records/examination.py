@@ -51,7 +51,7 @@ class Columns:
     sensor: str
     """Name of the sensor."""
     values: dict[str, Floats]
-    """`(rows,)`: "gyro x", "accelerometer x" (any axes), "temperature", "second temperature", "table angle x", "table
+    """`(rows,)`: "gyro x", "accelerometer x" (any axes), "temperature", "table angle x", "table
     rate x", "time" (absent: evenly sampled at `sample_rate_hz`), "host time", "marked", not 0 if the device marks its
     output as bad, and "standstill": truth values (counted up run by run) or numbers, negative while moving."""
     sample_rate_hz: float | None = None
@@ -92,7 +92,7 @@ class Columns:
         return axes, np.stack(list(own.values()), axis=-1) if own else None
 
 
-_OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature", "second temperature")
+_OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature")
 _OF_TABLE: Final = ("table angle ", "table rate ")
 
 
@@ -171,7 +171,6 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         provenance=columns.provenance,
         specific_force_m_per_s2=None if forces is None else forces[None],
         force_axes=force_axes,
-        second_temperature_c=of_unit.get("second temperature"),
     )
     return without_masked(log)
 

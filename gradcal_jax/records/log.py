@@ -260,17 +260,18 @@ class Log:
     force_axes: tuple[str, ...] = ()
     readings: AngleReadings | None = None
     """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
-    second_temperature_c: Annotated[
-        Floats | None, LogVariable("second_temperature", "unit time", "degC", "temperature of the second thermometer")
-    ] = None
 
     __repr__ = summary
 
     def summary_lines(self) -> list[str]:
         """Its contents in lines: length, units, axes, arrays, the numbers of rows by use, faults."""
         units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
-        fields = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
-        fields |= {"host time": self.host_time_s, "table angle": self.table_angle_rad, "readings": self.readings}
+        fields = {
+            "temperature": self.temperature_c,
+            "host time": self.host_time_s,
+            "table angle": self.table_angle_rad,
+            "readings": self.readings,
+        }
         also = [name for name, held in fields.items() if held is not None]
         counts = ", ".join(f"{count} {reason}" for reason, count in self.counts(0).items())
         lines = [
@@ -375,11 +376,9 @@ class Log:
                 digest.update(np.ascontiguousarray(values[self.unit_index(unit)]).tobytes())
         return digest.hexdigest()
 
-    def bridged_temperature(self, unit: str | int = 0, *, second: bool = False) -> Floats | None:
-        """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
-        None without any. [time]"""
-        columns = self.second_temperature_c if second else self.temperature_c
-        values: Floats | None = None if columns is None else columns[self.unit_index(unit)]
+    def bridged_temperature(self, unit: str | int = 0) -> Floats | None:
+        """A unit's temperature at every row, missing ones interpolated linearly; None without any. [time]"""
+        values: Floats | None = None if self.temperature_c is None else self.temperature_c[self.unit_index(unit)]
         if values is None or not (known := np.isfinite(values)).any():
             return None
         if known.all():
@@ -426,7 +425,6 @@ def without_masked(log: Log) -> Log:
         "rate_rad_per_s": (log.status & ~np.uint16((Reason.MISSING_FORCE | Reason.SATURATED).value)) != 0,
         "specific_force_m_per_s2": (log.status & ~np.uint16((Reason.MISSING_RATE | Reason.SATURATED).value)) != 0,
         "temperature_c": (log.status & np.uint16(temperature.value)) != 0,
-        "second_temperature_c": (log.status & np.uint16((Reason.MARKED | Reason.LEFT_OUT).value)) != 0,
     }
     changed = dict[str, Floats]()
     for name, rows in masked.items():

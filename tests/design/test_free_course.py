@@ -20,20 +20,14 @@ LEGS = 4
 
 
 @lru_cache
-def turning(*, back: bool = False, late: bool = False) -> Spec:
-    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis; `late`: and with what
-    follows the temperature late."""
+def turning(*, back: bool = False) -> Spec:
+    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis."""
     line = {"degree": 1, "centre": "20 degC", "scale": "40 K"}
     moves = [
         move
         for turn in ("720 deg", "-720 deg")
         for move in ({"turn": turn, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
-    lagging = {
-        "sensor.second_thermometer": {"lag": "10 min"},
-        "sensor.clock": "sensor",
-        "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "0.5 deg/h/K"}],
-    }
     return gj.changed(
         spec_of(ways=2 if back else 1),
         {
@@ -50,7 +44,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
             "rig.table.axis[0].angle.scale_error": "0 ppm",
             "rig.table.mounting": [{"accuracy": "0 deg"}],
             "plan.cycle": {"moves": moves},
-        } | (lagging if late else {}),
+        },
     )  # fmt: skip
 
 
@@ -70,7 +64,7 @@ def objective(plan: CyclePlan, sharpness: float):
 @pytest.mark.long
 def test_the_gradient_goes_through_turning_points_and_slopes():
     """The course has reversals within the width of the play."""
-    plan = CyclePlan(turning(late=True))
+    plan = CyclePlan(turning())
     value = objective(plan, 30.0)
     course = np.array([0.3, -0.2, 0.4, -0.5, 0.5, -0.15, 0.4, -0.6, -0.6])
     z = plan.point(plan.starts()[1])
@@ -88,7 +82,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes():
 @pytest.mark.long
 @pytest.mark.parametrize("both", [False, True])
 def test_the_objective_of_a_free_course_is_about_that_of_its_plan(both):
-    plan = CyclePlan(turning(back=both, late=both))
+    plan = CyclePlan(turning(back=both))
     left = float(np.exp(jax.jit(objective(plan, np.inf))(plan.point(plan.start))))
     found = plan.spec_of(plan.start)
     assert found.gradient_schedule.stretches[0].cycles == plan.cycles

@@ -25,9 +25,8 @@ from gradcal_jax.hardware.simulate.plants import AxisTruth
 from gradcal_jax.spec.absent import absent_lever_arm
 from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.places import rotation_of
-from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, TemperatureError
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.spec.temperature_path import DIFFERENCE
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
@@ -35,8 +34,6 @@ _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _GRADIENT: Final = "bias_temperature_gradient"
 _PLAY: Final = "hysteresis_{:g}K"
-# The lag of a second thermometer is as the spec says within this share.
-_LAG_SPREAD: Final = 0.2
 _TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
@@ -183,33 +180,15 @@ def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
     return formulas.legendre((x - float(powers.centre)) / float(powers.scale), degree)
 
 
-def _draw_differences(
-    sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
-) -> Iterator[ErrorTerm]:
-    """Errors of three sensors by the difference of two thermometers; `names`: their names and values, added to."""
-    triad: Any = getattr(sensor, kind)
-    for term in triad.term:
-        if term.factors != (DIFFERENCE,) or term.target != "bias":
-            continue
-        values = term.prior_in_si("rad/s" if kind == "gyro" else "m/s^2") * random.standard_normal(3)
-        names |= _named(kind, term.name, values, triad.axes)
-        slopes = values[:, None, None]
-        yield ErrorTerm(slopes, lambda apart_k: apart_k[:, None], "one", second_lag_s, differs=True)
-
-
 def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
-    path, hidden, random = (np.random.default_rng([seed, number, of]) for of in (20265, 20267, 20266))
-    second, second_lag_s = sensor.second_thermometer, 0.0
-    if second is not None:
-        second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(random.uniform(-1.0, 1.0)))
+    path, hidden = (np.random.default_rng([seed, number, of]) for of in (20265, 20267))
     for kind, truth in triads.items():
-        differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
-        errors = *truth.errors, *_draw_hidden(both[kind], hidden), *differences
+        errors = *truth.errors, *_draw_hidden(both[kind], hidden)
         loops = tuple(_draw_plays(both[kind], kind, path, draws.values))
         triads[kind] = replace(truth, errors=errors, loops=loops)
     lever = _LEVER_M * draws.random.standard_normal(3)
@@ -230,7 +209,7 @@ def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
     late_s = float(sensor.temperature_lag or 0.0) * abs(float(thermometer.standard_normal()))
     offset_k = float(sensor.temperature_offset or 0.0) * float(thermometer.standard_normal())
     draws.values |= {"temperature_offset": offset_k} if offset_k else {}
-    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s, late_s, offset_k)
+    return ImuTruth(triads, *levers, clock, draws.values, late_s, offset_k)
 
 
 def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:

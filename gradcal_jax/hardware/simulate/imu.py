@@ -12,8 +12,7 @@ interval, with the sensors' own errors (IEEE 1431, 1293):
     accelerometer  s_i + b(T) + s(T)s_i + k(T)s_i² + h(T)s_i³ + a(T)|s_i| + Σ c_jl(T)f_j f_l + drift + walk
     both           s_i = ω_i + Σ m_ij(T)ω_j, or of f: the input along the sensor's own axis of sensitivity, on which
                    its scale factor acts;
-                   loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
-                   temperature to other masses, one of which the second thermometer measures
+                   loops over the temperature (`Loop`), and exponentials since the unit was switched on
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
@@ -126,14 +125,11 @@ class Process:
 @dataclass(frozen=True)
 class ErrorTerm:
     """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
-    `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω). `lag_s`: of the mass whose
-    temperature it follows; `differs`: by how much that is warmer than the sensor."""
+    `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω)."""
 
     values: Vectors
     basis: Functions
     factors: str | Functions
-    lag_s: float = 0.0
-    differs: bool = False
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: Vectors) -> Vectors:
         count = self.values.shape[1]
@@ -176,30 +172,26 @@ class TableTruth:
 @dataclass(frozen=True)
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
-    the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
-    second thermometer measures; 0: none. The dies follow what the thermometer measures `die_lag_s` late, and it is
-    `thermometer_offset` K off."""
+    the body. `names`: the hidden parameters, by their names in a calibration. The dies follow what the
+    thermometer measures `die_lag_s` late, and it is `thermometer_offset` K off."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     gyro_lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
-    second_lag_s: float = 0.0
     die_lag_s: float = 0.0
     thermometer_offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class SensorSamples:
-    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
-    the second thermometer's temperature (None: as the first's)."""
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends."""
 
     time_s: Vectors
     rate_dps: Vectors
     acceleration_g: Vectors
     temperature_c: Vectors
-    second_c: Vectors | None = None
 
 
 class SampledSensor(ABC):
@@ -290,9 +282,7 @@ class SimulatedImu(SampledSensor):
             for drawn in [self._random.standard_normal((3, len(triad.drifts)))]
         }
         self._loops: dict[Kind, list[tuple[bool, Loop]]] = {}
-        lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors} | {truth.second_lag_s}
-        self._lags_s = sorted(lags_s - {0.0})
-        self._masses: dict[float | str, Mass] = {}
+        self._die: Mass | None = None
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
@@ -307,10 +297,9 @@ class SimulatedImu(SampledSensor):
         middles = shown = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
         change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
         if lag_s := self.truth.die_lag_s:
-            temperature = self._behind("die", lag_s, temperature)
+            temperature = self._behind(lag_s, temperature)
             middles = _means(temperature)
             change = (shown - middles) / lag_s
-        late = {0.0: temperature} | {lag_s: self._behind(lag_s, lag_s, temperature) for lag_s in self._lags_s}
         for kind, triad in self.truth.triads.items():
             lever = np.array(self.truth.gyro_lever if kind == "gyro" else self.truth.lever)
             felt = force + _at_lever(lever, rate, acceleration)
@@ -318,12 +307,11 @@ class SimulatedImu(SampledSensor):
             # Misalignments change what the sensors sense, before their other errors.
             for error in triad.errors:
                 if error.factors == "inputs":
-                    along = along + error(own, felt, late[error.lag_s])
+                    along = along + error(own, felt, temperature)
             said = along
             for error in triad.errors:
                 if error.factors != "inputs":
-                    followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
-                    said = said + error(along, felt, followed)
+                    said = said + error(along, felt, temperature)
             mean = _means(along)
             added, scaled = self._noise(kind, triad, count)
             said = _means(said) + added + scaled * mean
@@ -335,14 +323,14 @@ class SimulatedImu(SampledSensor):
             for of_input, loop in self._loops[kind]:
                 said = said + loop(middles, self.true_period_s) * (mean if of_input else 1.0)
             output[kind] = said
-        second = _means(late[self.truth.second_lag_s]) if self.truth.second_lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
-        return SensorSamples(ends[1:], *outputs, shown + self.truth.thermometer_offset, second)
+        return SensorSamples(ends[1:], *outputs, shown + self.truth.thermometer_offset)
 
-    def _behind(self, name: float | str, lag_s: float, temperature_c: Vectors) -> Vectors:
-        """The temperatures of a mass at all parts of the samples."""
-        mass = self._masses.setdefault(name, Mass(float(temperature_c[0]), lag_s))
-        return mass.take(temperature_c, self.true_period_s / _PARTS)
+    def _behind(self, lag_s: float, temperature_c: Vectors) -> Vectors:
+        """The temperatures of the dies at all parts of the samples."""
+        if self._die is None:
+            self._die = Mass(float(temperature_c[0]), lag_s)
+        return self._die.take(temperature_c, self.true_period_s / _PARTS)
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors | float]:
         """The additive error and the scale-factor error of every sample: `(count, 3)` each."""

@@ -47,15 +47,14 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
     """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
     rows = np.zeros((samples.time_s.shape[0], 42), np.uint8)
     rows[:, 0] = _IDENTIFIER
-    second = samples.temperature_c if samples.second_c is None else samples.second_c
     gyro = samples.rate_dps * 2.0**14
     _put(rows, 1, 3, gyro)
     # Status bit 4 and the channel's bit where a rate is beyond the 24 bits.
     beyond = ((np.abs(gyro) >= 2**23 - 1) * np.array([1, 2, 4])).sum(axis=1)
     rows[:, 10] = np.where(beyond, 0x10 | beyond, 0)
     _put(rows, 11, 3, samples.acceleration_g * 2.0**19)
-    _put(rows, 21, 2, samples.temperature_c[:, None] * 256.0)
-    _put(rows, 28, 2, second[:, None] * 256.0)
+    for at in (21, 28):
+        _put(rows, at, 2, samples.temperature_c[:, None] * 256.0)
     rows[:, 35] = (first + 1 + np.arange(len(rows))) * round(2000.0 / rate_hz) % 256
     rows[:, 36:38] = divmod(_LATENCY_US, 256)
     rows[:, 38:] = _CRC(rows[:, :38]).astype(">u4")[:, None].view(np.uint8)
@@ -347,7 +346,7 @@ class SimulatedLab:
     def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         """Make the devices. Axes may be turned by hand, their angles typed or read from an encoder."""
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
-        typed = not read_at_rest(tracks_of(spec)[1])
+        typed = not read_at_rest(tracks_of(spec).motion)
         cold, hot = (float(end) for end in spec.rig.chamber.range)
         settings = unit_options(sample_rate_hz)
         table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}

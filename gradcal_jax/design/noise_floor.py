@@ -72,8 +72,8 @@ def scale_factor_floor(
     which this is added may count only the share `PRIOR_OF_WALK` of the variance of the map's prior.
     """
     of_rate = processes.rate_gain * processes.initial_std * (processes.bias_gain == 0.0)
-    basis, constant = scale.temperature, np.ones(1) if scale.rate is None else scale.rate.constant
-    prior = np.asarray(scale.prior_rows()) @ np.kron(np.eye(basis.size), constant[:, None]) / np.sqrt(_PRIOR_OF_OTHERS)
+    basis, same = scale.temperature, np.kron(np.eye(scale.temperature.size), scale.rate.constant[:, None])
+    prior = np.asarray(scale.prior_rows()) @ same / np.sqrt(_PRIOR_OF_OTHERS)
     floor, clock = np.zeros(len(at)), float(np.sum(of_rate[processes.decay == 0.0] ** 2))
     if clock > 0.0:
         # A constant error adds its variance to that of M, as far as the prior does not separate the two.

@@ -28,9 +28,8 @@ from gradcal_jax.design.relaxed_limit import RelaxedProblem, relaxed_limit
 from gradcal_jax.design.slots import LEAST_TURN
 from gradcal_jax.design.visits import motion_time, with_motion
 from gradcal_jax.formulas import lagged_temperature
-from gradcal_jax.information.imu_residual import imu_residual, quantity_of
 from gradcal_jax.information.prediction import requirement_rows
-from gradcal_jax.information.residual import statistic
+from gradcal_jax.information.residual import residual_map, residual_of, statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
@@ -99,7 +98,7 @@ def limit(spec: Spec) -> list[PlanLimit]:
             continue
         least, relaxed = bound
         (unit, factor), value = UNIT_OF[r.quantity], rows[r.name].decisive
-        certified = float(np.hypot(factor * least, np.min(imu_residual(built, floor, r).values)))
+        certified = float(np.hypot(factor * least, np.min(residual_map(built, floor, r).values)))
         share = None if value is None else certified / value
         proven.append(PlanLimit(r.name, r.statistic, unit, certified, value, share, relaxed, data.kept))
     if not proven:
@@ -145,14 +144,14 @@ class _PlanData:
         if name is None:
             return None
         # Of several gyros the first, since all are alike.
-        quantity, model = quantity_of(self.built, requirement), self.built.model
+        quantity, model = residual_of(self.built, requirement), self.built.model
         element = quantity.elements[0]
         channel = next(c for c in model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
         of = channel.map(name)
         if of is None or (name == SCALE_FACTOR and not isinstance(of.rate, Polynomial)):
             return None
         carried = ("the calibration contains the discrepancy as far as the data determine it",)
-        more = carried if np.any(element.alone) else ()
+        more = carried if element.alone is not None else ()
         rows = np.zeros((len(element.beyond), model.size))
         rows[:, element.where] = element.rows[0]
         rows = rows[:, model.where(channel.kind, channel.axis)]

@@ -7,6 +7,7 @@ sample whose stamp is that of the one before came twice, and is left out.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -28,9 +29,15 @@ Stamped = Literal["count", "time", ""]
 
 def converted(quantity: str, values: Floats, unit: str) -> Floats:
     """Values of a quantity, from a description's unit to deg/s, g0 or degC."""
+    zero, step = _scale(quantity, unit)
+    return values * step + zero
+
+
+@cache
+def _scale(quantity: str, unit: str) -> tuple[float, float]:
     wanted, factor = QUANTITIES[quantity]
     zero = units.convert(0.0, unit, wanted) * factor
-    return values * (units.convert(1.0, unit, wanted) * factor - zero) + zero
+    return zero, units.convert(1.0, unit, wanted) * factor - zero
 
 
 class SampleDecoder:

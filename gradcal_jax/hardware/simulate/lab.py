@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -74,6 +75,8 @@ _HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
 _TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
+# The standard deviation of a person's pace.
+_PACES_APART = 0.1
 # Where a motor without feedback stops, about its goal (standard deviation), deg.
 _STOPS_OFF_DEG = 5.0
 
@@ -83,7 +86,7 @@ class SimulatedChamber(ChamberDriver):
 
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
         self.plant, self._clock, self._title = plant, clock, "simulated chamber"
-        self._limits = roles.ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
+        self._limits = roles.ChamberLimits(lowest_c, highest_c, hardware_ramp=True)
         self.alarms: tuple[str, ...] = ()
 
     def identify(self) -> roles.Identity:
@@ -176,15 +179,13 @@ class SimulatedAxis(roles.MotionAxis):
 
 @dataclass(frozen=True)
 class SimulatedHand:
-    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial, to its digits, when
-    the axis stands."""
+    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial when the axis
+    stands."""
 
     seed: int = 0
     reaction_s: float = 1.5
     reading_s: float = 2.0
     miss_deg: float = 0.3
-    pace_spread: float = 0.1
-    digits: int = 3
 
 
 class SimulatedPerson:
@@ -196,22 +197,25 @@ class SimulatedPerson:
         clock: Clock,
         plants: Mapping[str, AxisPlant],
         hand: SimulatedHand,
-        hang: Callable[[int], None] | None = None,
+        hang: Callable[[int], None] = lambda number: None,
     ) -> None:
         self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
         self._random = np.random.default_rng([hand.seed, 4])
-        self.answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
+        # When the answer is given, and its text at that time.
+        self.answers_s = math.inf
+        self._answer: Callable[[float], str] = str
+        self._axis = ""
 
     def ask(self, question: str) -> None:
         hand, random, now = self.hand, self._random, self._clock.now()
         if hung := _HANG.search(question):
-            self._mounting, self.answers_s = int(hung[1]), now + _HANGS_S
+            self.answers_s, self._answer = now + _HANGS_S, partial(self._mounted, int(hung[1]))
             return
         # A doubted answer is given again in the same way: "press Enter again", "type it again".
-        self._types = "Enter" not in question
+        self._answer = self._enter if "Enter" in question else self._dial
         if turn := _TURN.search(question):
             begins_s = now + hand.reaction_s * float(random.lognormal(0.0, 0.3))
-            pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
+            pace = max(0.5, 1.0 + _PACES_APART * float(random.standard_normal()))
             planned_s = _HOME_S if turn[2] is None else float(turn[2])
             self._turn(turn[1], float(turn[3]), begins_s, planned_s * pace)
         elif zero := _ZERO.search(question):
@@ -228,15 +232,20 @@ class SimulatedPerson:
         if self._clock.now() < at_s:
             return None
         self.answers_s = math.inf
-        if self._mounting and self._hang is not None:
-            self._hang(self._mounting)
-        if self._mounting or not self._types:
-            self._mounting = 0
-            return "", at_s
-        return f"{self._plants[self._axis].reading(at_s) % 360.0:.{self.hand.digits}f} deg", at_s
+        return self._answer(at_s), at_s
 
     def withdraw(self, why: str) -> None:
-        self.answers_s, self._mounting = math.inf, 0
+        self.answers_s = math.inf
+
+    def _mounted(self, number: int, at_s: float) -> str:
+        self._hang(number)
+        return ""
+
+    def _enter(self, at_s: float) -> str:
+        return ""
+
+    def _dial(self, at_s: float) -> str:
+        return f"{self._plants[self._axis].reading(at_s) % 360.0:.3f} deg"
 
     def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
         miss = self.hand.miss_deg * float(self._random.standard_normal())
@@ -250,7 +259,6 @@ class SimulatedStream:
     def __init__(self, sensor: SampledSensor, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
         self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
         self.serial = serial
-        self.settings = roles.KeptSettings()
         self._rate_hz = float(config.described.rate)
 
     def identify(self) -> roles.Identity:
@@ -261,8 +269,6 @@ class SimulatedStream:
 
     def start(self) -> None:
         self.sensor.restart(self._clock.now(), self._rate_hz)
-
-    def stop(self) -> None: ...
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         ahead = max(1, round(self._burst_s / self.sensor.true_period_s))
@@ -325,13 +331,12 @@ class SimulatedLab:
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         # Each at its place of a fixture: there are as many as places.
-        places = spec.rig.table.place
-        names = [place.name for place in places] or [f"unit{number}" for number in range(1, units + 1)]
-        held = draw_places(spec, truth, seed)
+        held = draw_places(spec, truth, seed) or [truth] * units
+        names = [place.name for place in spec.rig.table.place] or [f"unit{k + 1}" for k in range(units)]
         self.units: dict[str, SimulatedImu] = {
             name: SimulatedImu(
                 draw_truth(spec, seed, number),
-                held[number - 1] if held else truth,
+                table,
                 climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
@@ -339,7 +344,7 @@ class SimulatedLab:
                 mounting=mounting,
                 start_s=now,
             )
-            for number, name in enumerate(names, start=1)
+            for number, (name, table) in enumerate(zip(names, held, strict=True), start=1)
         }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 
@@ -361,7 +366,7 @@ class SimulatedLab:
         if spec.rig.chamber.control == "none":
             del tables["chamber"]
         self.rig = rig_of(tables)
-        self.bench = Bench(self.rig, simulated=True)
+        self.bench = Bench(self.rig)
         if spec.rig.chamber.control == "chamber":
             self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
         told = spec.rig.table.by_gravity

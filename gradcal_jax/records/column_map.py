@@ -253,6 +253,15 @@ class ColumnMap(Section):
         named["marked"] = self.status
         return {name: column for name, column in named.items() if column is not None}
 
+    def sources(self) -> list[Source]:
+        """The columns."""
+        return list(self.named().values())
+
+    def wheres(self) -> list[Where]:
+        """The columns that select rows."""
+        own = [one.where for one in self.sources() if isinstance(one, Measured)]
+        return [one for one in (*own, self.where) if one is not None]
+
 
 def parse_column_map(text: str, source: str = "") -> ColumnMap:
     """The column map (gradcal-columns/1) in a TOML text: what columns of a recording mean, and in which units.

@@ -121,9 +121,7 @@ def columns_in_si(table: FileTable, columns: ColumnMap, name: str) -> Columns:
     if columns.sensor_rate is not None:
         raw.provenance[SENSOR_RATE] = f"{float(columns.sensor_rate):.9g} Hz"
     if columns.where is not None:
-        chosen = table.rows_where(columns.where)
-        # (Of a text, other rows were not read.)
-        raw = raw.of_rows(chosen) if len(chosen) == raw.rows else raw
+        raw = raw.of_rows(table.rows_where(columns.where))
     if raw.rows < 2:
         raise LogError(f"there are {raw.rows} rows of numbers; at least two are needed")
     return raw

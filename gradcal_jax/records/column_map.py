@@ -154,6 +154,11 @@ class TextTable(Section):
         if self.decimal == self.delimiter:
             yield Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"')
 
+    @property
+    def mark(self) -> str | None:
+        """The character between columns; None: blanks."""
+        return DELIMITERS.get(self.delimiter, self.delimiter)
+
     @field_validator("delimiter")
     @classmethod
     def _known(cls, value: str) -> str:

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.records.column_map import DELIMITERS, ColumnMap, Source, TextTable, Where
+from gradcal_jax.records.column_map import ColumnMap, Source, TextTable, Where
 from gradcal_jax.records.log import Bools, LogError, library, naming, quietly
 from gradcal_jax.tables.problems import instead
 from gradcal_jax.tables.sizes import check_size
@@ -130,62 +130,63 @@ class _Lines:
 
 
 def _read_text(path: Path, columns: ColumnMap) -> FileTable:
-    layout = columns.csv
-    numbers, texts = ({one.column for one in some} for some in (columns.sources(), columns.wheres()))
+    layout, where = columns.csv, columns.where
+    texts = {one.column for one in columns.wheres()}
+    wanted = {one.column for one in columns.sources()} | texts
     if any(source.index is not None for source in columns.sources()):
         raise LogError("in a text table, a column has no index: give only the name or number of the column")
     try:
         with path.open(encoding=layout.encoding) as lines:
             begin = list(itertools.islice(lines, layout.skip, layout.skip + _PREAMBLE))
-            header, width = list[str](), 0
-            if layout.header:
-                at, header = _header(begin, {one for one in numbers if isinstance(one, str)}, layout)
-                width = 0 if begin[at].lstrip().startswith("#") else len(header)
-                begin = begin[at + 1 :]
-            rows = _rows(itertools.chain(begin, lines), layout)
+            above, header = _header(begin, wanted, layout) if layout.header else (0, [])
+            places = {one: _place(one, header, layout) for one in wanted}
+            rows = _rows(itertools.chain(begin[above:], lines), layout)
             first = list(itertools.islice(rows, _LOOKED_AT))
-            fields = [_fields(line, layout) for line in first]
-            places = {one: _place(one, header, layout) for one in numbers | texts}
-            kinds = [str if one in texts else None for one in places]
-            cells = _cells(itertools.chain(first, rows), dict(zip(places.values(), kinds, strict=True)), width, layout)
+            as_text = {places[one] for one in texts} | ({len(header)} if header else set())
+            cells = _cells(itertools.chain(first, rows), as_text.union(places.values()), as_text, layout)
     except UnicodeError:
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
         text = f'is not text in {name}: state its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
         raise LogError(f"{text}; or is it a file of another kind?") from None
-    if not len(cells):
+    if not first:
         raise LogError("there are no rows below the header")
-    if columns.where is not None:
-        cells = cells[rows_where(columns.where, _words(cells[places[columns.where.column]]))]
-    extra = cells[width].dropna() if width else []
+    if where is not None:
+        cells = cells[rows_where(where, _words(cells[places[where.column]]))]
+    extra = cells[len(header)].dropna() if header else []
     if len(extra) > max(_MANY_UNREAD, _SHARE_UNREAD * len(cells)):
         raise LogError(
-            f"{len(extra)} of {len(cells)} rows have more fields than the {width} names of the header, such as "
+            f"{len(extra)} of {len(cells)} rows have more fields than the {len(header)} names of the header, such as "
             f"'{extra.iloc[0][:40]}': do the numbers contain commas, or does the first column have no name? "
             "Correct the file, or refer to the columns by numbers, with header = false and skip = 1 under [csv]"
         )
+    fields = [_fields(line, layout.mark) for line in first]
     if not texts and not layout.lines:
         _refuse_several(fields, header, set(places.values()))
-    arrays = {one: _words(cells[places[one]]) if one in texts else _numbers(one, cells[places[one]]) for one in places}
-    return FileTable(arrays, _called(places, header, fields[0]))
+    arrays = {one: _words(cells[at]) if one in texts else _numbers(one, cells[at]) for one, at in places.items()}
+    called = {one: header[at : at + 1] for one, at in places.items()}
+    # A row of units may stand below the names: no word of it is a number.
+    if all(np.isnan(_number(text)) for text in fields[0]):
+        for one, names in called.items():
+            unit = "".join(fields[0][places[one] : places[one] + 1]).strip("()[] ")
+            names += [f"{name} ({unit})" for name in names if unit]
+    return FileTable(arrays, called)
 
 
-def _cells(rows: Iterator[str], kinds: Mapping[int, type[str] | None], width: int, layout: TextTable) -> Any:
-    """The columns of some places and of the first one beyond the `width` of the header, as a data frame."""
+def _cells(rows: Iterator[str], places: set[int], texts: set[int], layout: TextTable) -> Any:
+    """The columns at some places, those of `texts` as such, as a data frame."""
     pandas: Any = importlib.import_module("pandas")
-    texts = {place: str for place, kind in kinds.items() if kind} | ({width: str} if width else {})
-    used = sorted({*kinds, *texts})
-    delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
+    names = range(max(places) + 1)
     # A row of zeros says how many fields a row may have.
-    zeros = (delimiter or " ").join("0" * (used[-1] + 1)) + "\n"
+    zeros = (layout.mark or " ").join("0" for _ in names) + "\n"
     with warnings.catch_warnings(action="ignore"):
         cells = pandas.read_csv(
             _Lines(itertools.chain([zeros], rows)),
-            sep=r"\s+" if delimiter is None else delimiter,
+            sep=layout.mark or r"\s+",
             header=None,
-            names=range(used[-1] + 1),
-            usecols=used,
+            names=names,
+            usecols=sorted(places),
             index_col=False,
-            dtype=texts,
+            dtype=dict.fromkeys(texts, str),
             quoting=csv.QUOTE_NONE,
             skipinitialspace=True,
             skip_blank_lines=False,
@@ -197,7 +198,6 @@ def _cells(rows: Iterator[str], kinds: Mapping[int, type[str] | None], width: in
 def _rows(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
     """The rows without other lines, remarks, checksums and quotes, with decimal points."""
     commas = str.maketrans({",": ".", ".": _POINT}) if layout.decimal == "," else None
-    delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
     for line in lines:
         if not line.startswith(layout.lines):
             continue
@@ -208,37 +208,36 @@ def _rows(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
             continue
         if commas:
             row = row.translate(commas)
-        if '"' in row and delimiter is not None:
-            row = delimiter.join(field.replace(delimiter, " ") for field in _fields(row, layout))
+        if '"' in row and layout.mark:
+            row = layout.mark.join(field.replace(layout.mark, " ") for field in _fields(row, layout.mark))
         yield row if row.endswith("\n") else row + "\n"
 
 
-def _fields(line: str, layout: TextTable) -> list[str]:
-    delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
-    fields = line.split(delimiter)
-    if delimiter is not None and '"' in line:
+def _fields(line: str, mark: str | None) -> list[str]:
+    fields = line.split(mark)
+    if mark and '"' in line:
         with contextlib.suppress(csv.Error):
-            fields = next(csv.reader([line], delimiter=delimiter), list[str]())
+            fields = next(csv.reader([line], delimiter=mark), list[str]())
     return [one.strip() for one in fields]
 
 
-def _header(lines: Sequence[str], wanted: set[str], layout: TextTable) -> tuple[int, list[str]]:
-    """The line with the names: the first with all names of the map, or else the first that is not all numbers, or the
-    last remark above the numbers."""
-    split = [_fields(line.strip().lstrip("#"), layout) for line in lines]
-    remark: tuple[int, list[str]] | None = None
-    if wanted:
-        remark = next(((at, names) for at, names in enumerate(split) if wanted <= set(names)), None)
-    for at, names in enumerate(split) if remark is None else ():
-        if lines[at].lstrip().startswith("#"):
-            remark = at, names
-        elif any(np.isnan(_number(name)) and name.lower() != "nan" for name in names) and any(names):
+def _header(lines: Sequence[str], wanted: set[str | int], layout: TextTable) -> tuple[int, list[str]]:
+    """The number of lines down to the names, and these: the first with all names of the map, or else the first that is
+    not all numbers, or the last remark above the numbers."""
+    known, found = {one for one in wanted if isinstance(one, str)}, 0
+    split = [_fields(line.strip().lstrip("#"), layout.mark) for line in lines]
+    for at, names in enumerate(split, 1):
+        if known and known <= set(names):
             return at, names
+    for at, names in enumerate(split, 1):
+        if lines[at - 1].lstrip().startswith("#"):
+            found = at
         elif any(names):
+            found = at if any(np.isnan(_number(name)) and name.lower() != "nan" for name in names) else found
             break
-    if remark is None:
+    if not found:
         raise LogError("the file has no line of column names: write header = false under [csv]")
-    return remark
+    return found, split[found - 1]
 
 
 def _place(column: str | int, header: Sequence[str], layout: TextTable) -> int:
@@ -249,50 +248,31 @@ def _place(column: str | int, header: Sequence[str], layout: TextTable) -> int:
     if not layout.header:
         raise LogError(f"column '{column}' is a name, and the file has no header: give its number, from 0")
     places = [str(place) for place, name in enumerate(header) if name == column]
-    if len(places) > 1:
+    if len(places) == 1:
+        return int(places[0])
+    if places:
         raise LogError(
             f"several columns are named '{column}': give the number of the column instead, {' or '.join(places)} "
             "(numbered from 0)"
         )
-    if not places:
-        marks = {";": ";", "\t": "tab", ",": ","} if len(header) == 1 else {}
-        mark = next((name for mark, name in marks.items() if mark in header[0]), None)
-        hint = f'; or is delimiter = "{mark}" missing under [csv]?' if mark else ""
-        raise LogError(f"there is no column '{column}'; {instead(column, header)}{hint}")
-    return int(places[0])
-
-
-def _called(places: Mapping[str | int, int], header: list[str], first: list[str]) -> dict[str | int, list[str]]:
-    """What the file calls its columns. A row of units may stand below the names: no word of it is a number."""
-    called: dict[str | int, list[str]] = {one: [header[place]] for one, place in places.items() if place < len(header)}
-    if all(np.isnan(_number(text)) for text in first):
-        for one, names in called.items():
-            unit = first[places[one]].strip("()[] ") if places[one] < len(first) else ""
-            names += [f"{names[0]} ({unit})"] * bool(unit)
-    return called
+    mark = next((mark for mark in (";", "\t", ",") if len(header) == 1 and mark in header[0]), None)
+    hint = f'; or is delimiter = "{mark}" missing under [csv]?'.replace("\t", "tab") if mark else ""
+    raise LogError(f"there is no column '{column}'; {instead(column, header)}{hint}")
 
 
 def _refuse_several(rows: Sequence[Sequence[str]], header: Sequence[str], used: set[int]) -> None:
     """A table whose first lines are of several kinds, or of several sensors."""
-    for place in [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if header else [0]:
+    for place, name in enumerate(header or [""]):
         values = [row[place] for row in rows if len(row) > place]
         kinds = list(dict.fromkeys(values))
         turns = sum(a != b for a, b in itertools.pairwise(values))
-        if place in used or not 1 < len(kinds) <= 0.1 * len(values) or turns < 0.2 * len(values):
-            continue
-        some = ", ".join(kinds[:4])
-        number = not np.isnan(_number(kinds[0]))
-        if header:
-            equals = kinds[0] if number else f'"{kinds[0]}"'
+        known = _WHICH.fullmatch(name) if header else np.isnan(_number(kinds[0]))
+        if known and place not in used and 1 < len(kinds) <= 0.1 * len(values) and turns >= 0.2 * len(values):
             raise LogError(
-                f"column '{header[place]}' has {len(kinds)} alternating values ({some}): does the table mix rows of "
-                "several sensors? Select the rows of one sensor, such as "
-                f'where = {{ column = "{header[place]}", equals = {equals} }}, for the whole map or one of its columns'
-            )
-        if not number:
-            raise LogError(
-                f"the file mixes lines of several kinds ({some}): select the lines of one kind under [csv], such as "
-                f'lines = "{kinds[0]}"'
+                f"column '{name or 0}' has {len(kinds)} alternating values ({', '.join(kinds[:4])}): "
+                "does the table mix rows of several sensors, or lines of several kinds? Select the rows of one, such "
+                f'as where = {{ column = "{name}", equals = "{kinds[0]}" }}, for the whole map or one of its columns, '
+                f'or the lines of one kind under [csv], such as lines = "{kinds[0]}"'
             )
 
 
@@ -349,22 +329,18 @@ def _check_size(declared: int, path: Path) -> None:
         raise LogError(f"is damaged, or {error}") from None
 
 
-def _read_npz(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
+def _read_numpy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
     # Opened here: NumPy leaves the file open where it is no archive.
-    kind = "NumPy's .npz (without pickles)"
-    with quietly(kind), path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+    with quietly(f"NumPy's {path.suffix} (without pickles)"), path.open("rb") as file:
+        opened: Any = np.load(file, allow_pickle=False)
+        if isinstance(opened, np.ndarray):
+            if opened.ndim != 2:
+                raise LogError("the array must have one row for each sample and one column for each quantity")
+            return dict(enumerate(opened.T))
         # Other arrays are named but not read: they may be large.
         infos = [one for one in opened.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         _check_size(sum(info.file_size for info in infos), path)
         return {name: opened[name] if name in wanted else np.empty(0) for name in opened.files}
-
-
-def _read_npy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
-    with quietly("NumPy's .npy (without pickles)"), path.open("rb") as file:
-        values = np.asarray(np.load(file, allow_pickle=False))
-    if values.ndim != 2:
-        raise LogError("the array must have one row for each sample and one column for each quantity")
-    return dict(enumerate(values.T))
 
 
 def _read_matlab(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
@@ -393,18 +369,18 @@ def _read_parquet(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
     with quietly("Parquet"):
         file = parquet.ParquetFile(path)
         _check_size(8 * file.metadata.num_rows * len(wanted), path)
-        arrays: dict[str | int, Array] = {str(name): np.empty(0) for name in file.schema_arrow.names}
-        table = file.read(columns=[name for name in arrays if name in wanted])
-        for name in table.column_names:
-            values: Array = table.column(name).to_numpy()
-            # Stamps of a date are counts of its resolution: nanoseconds as a rule.
-            arrays[name] = values.astype(np.int64) if values.dtype.kind == "M" else values
+        names = [str(name) for name in file.schema_arrow.names]
+        frame = file.read(columns=[name for name in names if name in wanted]).to_pandas()
+        arrays: dict[str | int, Array] = {name: np.empty(0) for name in names}
+        # Stamps of a date are counts of its resolution: nanoseconds as a rule.
+        for name, column in frame.items():
+            arrays[name] = column.to_numpy(np.int64 if column.dtype.kind == "M" else None)
         return arrays
 
 
 _READERS: Final[Mapping[str, Callable[[Path, set[str | int]], dict[str | int, Array]]]] = {
-    ".npz": _read_npz,
-    ".npy": _read_npy,
+    ".npz": _read_numpy,
+    ".npy": _read_numpy,
     ".mat": _read_matlab,
     ".parquet": _read_parquet,
 }

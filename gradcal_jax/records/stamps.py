@@ -35,6 +35,8 @@ _UNEVEN: Final = 0.005
 _BURSTS, _WITHIN, _PAUSE, _EVENLY = 40, 1.5, 3.0, 0.02
 # Even intervals over those within a burst, from which on stamps are those of arrivals.
 _ARRIVALS: Final = 4.0
+# Rows in which a pattern of intervals is looked for, its largest length, and its least share of their variance.
+_PATTERN_ROWS, _PATTERN, _REPEATS = 1 << 16, 100, 0.3
 # Blocks by whose intervals a changed rate is seen, share of a block's intervals that are alike within 10 %, blocks of
 # another rate, and the ratio from which on it is another.
 _BLOCKS, _ALIKE, _SOME, _CHANGED = 50, 0.8, 5, 1.3
@@ -199,7 +201,7 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
         )
         return even, np.zeros(1, np.int64)
     longer = interval[gaps] / usual
-    if uneven and (even is not None or not _are_losses(time, longer, removed > 0)):
+    if _repeat_a_pattern(time) or (uneven and (even is not None or not _are_losses(time, longer, removed > 0))):
         found.question(
             "uneven stamps",
             f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
@@ -274,11 +276,29 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
 
 
 def _are_arrivals(time: Floats, even: Floats, usual: float) -> bool:
-    """Whether stamps of `even` times are those of arrivals, in bursts or in whole milliseconds (of 500 … 1000 Hz); if
-    the `usual` intervals are little shorter than even ones, they may be those of the clock, with losses between."""
+    """Whether stamps of `even` times are those of arrivals, in bursts or in whole milliseconds; if the `usual`
+    intervals are little shorter than even ones, they may be those of the clock, with losses between."""
+    return bool(np.median(np.diff(even)) >= _ARRIVALS * usual) or _in_whole_milliseconds(time, usual)
+
+
+def _in_whole_milliseconds(time: Floats, usual: float) -> bool:
+    """Whether stamps are an even clock's of 500 … 1000 Hz in whole milliseconds: one or two of them apart."""
     places = 1e3 * time
-    whole = np.max(np.abs(places - np.rint(places))) < 1e-3 and abs(1e3 * usual - 1.0) < 1e-3
-    return bool(whole or np.median(np.diff(even)) >= _ARRIVALS * usual)
+    return bool(np.max(np.abs(places - np.rint(places))) < 1e-3) and abs(1e3 * usual - 1.0) < 1e-3
+
+
+def _repeat_a_pattern(time: Floats) -> bool:
+    """Whether the intervals of stamps `(n,)` repeat a pattern of short and long ones that regular losses leave, and
+    uneven stamps of all rows as well: 1, 1, 2. Single rows that are late or missing at random repeat no pattern."""
+    interval = np.diff(time[:_PATTERN_ROWS])
+    low, high = np.quantile(interval, [0.02, 0.98])
+    if len(interval) < 5 * _MANY or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
+        return False
+    apart = np.minimum(interval / np.median(interval), 4.0)
+    power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * len(apart))) ** 2
+    alike = np.fft.irfft(power)[: min(_PATTERN, len(apart) // 4)]
+    # (Where the rate changes within the record, all are alike.)
+    return bool(np.max(alike[2:]) - np.median(alike[2:]) > _REPEATS * alike[0])
 
 
 def _are_losses(time: Floats, intervals: Floats, removed: bool) -> bool:

@@ -138,7 +138,7 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
     try:
         with path.open(encoding=layout.encoding) as lines:
             begin = list(itertools.islice(lines, layout.skip, layout.skip + _PREAMBLE))
-            above, header = _header(begin, wanted, layout) if layout.header else (0, [])
+            above, header = _header(begin, wanted, layout) if layout.header else (0, list[str]())
             places = {one: _place(one, header, layout) for one in wanted}
             rows = _rows(itertools.chain(begin[above:], lines), layout)
             first = list(itertools.islice(rows, _LOOKED_AT))
@@ -152,7 +152,7 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
         raise LogError("there are no rows below the header")
     if where is not None:
         cells = cells[rows_where(where, _words(cells[places[where.column]]))]
-    extra = cells[len(header)].dropna() if header else []
+    extra: Any = cells[len(header)].dropna() if header else cells[:0]
     if len(extra) > max(_MANY_UNREAD, _SHARE_UNREAD * len(cells)):
         raise LogError(
             f"{len(extra)} of {len(cells)} rows have more fields than the {len(header)} names of the header, such as "
@@ -336,7 +336,7 @@ def _read_numpy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
         if isinstance(opened, np.ndarray):
             if opened.ndim != 2:
                 raise LogError("the array must have one row for each sample and one column for each quantity")
-            return dict(enumerate(opened.T))
+            return dict(enumerate(list[Array](opened.T)))
         # Other arrays are named but not read: they may be large.
         infos = [one for one in opened.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         _check_size(sum(info.file_size for info in infos), path)

@@ -72,7 +72,7 @@ def noise(
     of_unit = 0 if unit is None else unit
     found: list[tuple[Instability, AllanFit]] = []
     drawn = []
-    for name in work.axes_asked_for(recorded, axis):
+    for name in axis or recorded.axes:
         rest = work.at_rest(recorded, name, of_unit, bias_degree=None, lag=lag_s, without=left_out)
         rest.walk_of_sensor(0.0)  # asks before anything is printed
         deviation, fit = work.allan_of(rest)

@@ -157,17 +157,17 @@ def at_rest(
     nothing is subtracted. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and used where
     it reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
     """
-    label, name = _label(log, axis, force), log.units[log.unit_index(unit)]
     kind, other = ("accelerometer", Reason.MISSING_RATE) if force else ("gyro", Reason.MISSING_FORCE)
+    label = axis if isinstance(axis, str) else (log.force_axes if force else log.axes)[axis]
+    channel, name = f"{kind} {label}", log.units[log.unit_index(unit)]
     if log.status is not None:
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    own = log.channel(axis, unit, force=force)
+    own = log.channel(channel, unit)
     still = slice(None) if log.standstill is None else log.standstill >= 0
-    where = f"{kind} {label} of {name}"
-    said = refuse_unlike_noise(where, own[still])
-    log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
-    even = log.even(axis, unit, force=force)
+    said = refuse_unlike_noise(f"{channel} of {name}", own[still])
+    log, faults = without_faults(log, {channel}, at_rest=True)
+    even = log.even(channel, unit)
     valid = even.valid.copy()
     messages = [*said, *faults[name].sentences]
     if log.standstill is not None:
@@ -221,12 +221,6 @@ def at_rest(
         *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
         _lost(raw, read, valid, even.sample_interval_s), per_row,
     )  # fmt: skip
-
-
-def _label(log: Log, axis: str | int, force: bool) -> str:
-    if not force:
-        return log.axes[log.axis_index(axis)]
-    return axis if isinstance(axis, str) else log.force_axes[axis]
 
 
 def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
@@ -448,8 +442,3 @@ def too_noisy(fit: identify.AllanFit) -> str:
 def plausible(fit: identify.AllanFit) -> bool:
     """Whether a gyro can have this angle random walk; otherwise a unit is wrong, or the sensor moved."""
     return fit.angle_random_walk.value <= _NOISIEST
-
-
-def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:
-    """The axes in `wanted`, or all of the log's. **Raises:** `LogError` for an axis that the log lacks."""
-    return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)

@@ -1,7 +1,7 @@
 """Alignment of another logger's recording with the run's clock, by the motion.
 
-The table's track is the readings of one axis, θ_k at the run's times t_k. The unit's track is A(u), its rates integrated
-over its own clock u. With the clocks related by
+The table's track is the readings of one axis, θ_k at the run's times t_k. The unit's track is A(u), its rates
+integrated over its own clock u. With the clocks related by
 
     t = offset + rate · (u − middle)
 
@@ -105,16 +105,16 @@ def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
     if not places:
         raise NoAlignment(f"no rate in the recording agrees with the motion of the table: {_ANOTHER}")
     best = places[0]
-    if best.scale < 0.0:
-        raise NoAlignment(
-            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
-            "in the column map"
-        )
-    if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
+    if best.misfit > _MISFIT or not 0.8 < abs(best.scale) < 1.25:
         raise NoAlignment(
             "the recording does not agree with the motion of the table: at the best alignment "
             f"{100.0 * best.misfit:.0f} % of the motion is missing, and the sensor measures "
             f"{1.0 / best.scale:.2f} times the turns of the table; {_ANOTHER}"
+        )
+    if best.scale < 0.0:
+        raise NoAlignment(
+            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
+            "in the column map"
         )
     others = [place for place in places if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
@@ -167,7 +167,7 @@ def _refined(
     turned, apart = np.diff(track.angle_deg), np.diff(track.time_s)
     offset_s, usual_s = lag_s + middle_s, float(np.median(np.diff(time_s)))
     # The angle turned across a gap is unknown.
-    part = np.concatenate(([0], np.cumsum(np.diff(time_s) > 5.0 * usual_s)))
+    part: NDArray[np.int64] = np.cumsum(np.diff(time_s, prepend=time_s[0]) > 5.0 * usual_s)
 
     def at(times_s: Floats, values: Floats) -> Floats:
         return np.stack([np.interp(times_s, time_s, one) for one in values.T], axis=1)
@@ -175,14 +175,15 @@ def _refined(
     def left(line: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Residuals of the turns, zero where they are not known, these turns, their weights, and the direction."""
         times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
-        row = np.searchsorted(time_s, times_s, side="right").clip(1, len(time_s) - 1)
+        row: NDArray[np.int64] = np.clip(np.searchsorted(time_s, times_s, side="right"), 1, len(time_s) - 1)
         inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
         keep = inside[1:] & inside[:-1] & (part[row[1:]] == part[row[:-1]]) & (apart < _LONGEST_S)
-        variance = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)
+        variance: Floats = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)
         weight = 1.0 / np.sqrt(variance[1:] + variance[:-1])
-        design = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
-        solution = np.asarray(np.linalg.lstsq(design * weight[:, None], turned * keep * weight, rcond=None)[0])
-        return turned * keep - design @ solution, turned * keep, weight, solution[:-1]
+        design: Floats = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
+        known: Floats = turned * keep
+        solution: Floats = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
+        return known - design @ solution, known, weight, solution[:-1]
 
     def weighted(line: Floats) -> Floats:
         rest, _, weight, _ = left(line)

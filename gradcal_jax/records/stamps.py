@@ -265,7 +265,7 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
     if np.quantile(np.abs(periods - period), 0.9) < _EVENLY * period and larger < 0.1 * smaller:
         return None
     rows = np.arange(len(time), dtype=np.float64)
-    line = np.polyval(np.polyfit(rows, time, 1), rows)
+    line: Any = np.polyval(np.polyfit(rows, time, 1), rows)
     ndimage: Any = importlib.import_module("scipy.ndimage")
     width = 2 * (_BURSTS * len(time) // len(suspects) // 2) + 1
     slow: Floats = ndimage.uniform_filter1d(time - line, width, mode="nearest")

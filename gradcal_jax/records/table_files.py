@@ -142,7 +142,7 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
             places = {one: _place(one, header, layout) for one in wanted}
             rows = _rows(itertools.chain(begin[above:], lines), layout)
             first = list(itertools.islice(rows, _LOOKED_AT))
-            as_text = {places[one] for one in texts} | ({len(header)} if header else set())
+            as_text = {places[one] for one in texts} | ({len(header)} if header else set[int]())
             cells = _cells(itertools.chain(first, rows), as_text.union(places.values()), as_text, layout)
     except UnicodeError:
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
@@ -333,10 +333,10 @@ def _read_numpy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
     # Opened here: NumPy leaves the file open where it is no archive.
     with quietly(f"NumPy's {path.suffix} (without pickles)"), path.open("rb") as file:
         opened: Any = np.load(file, allow_pickle=False)
-        if isinstance(opened, np.ndarray):
+        if path.suffix.lower() == ".npy":
             if opened.ndim != 2:
                 raise LogError("the array must have one row for each sample and one column for each quantity")
-            return dict(enumerate(list[Array](opened.T)))
+            return dict(enumerate(opened.T))
         # Other arrays are named but not read: they may be large.
         infos = [one for one in opened.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         _check_size(sum(info.file_size for info in infos), path)

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import instead
-from gradcal_jax.tables.table import Table
 
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"

@@ -33,7 +33,7 @@ def noise(
     *,
     axis: Axes = (),
     unit: Unit = None,
-    lag: str = "auto",
+    lag: bool = True,
     without: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     columns: Columns = None,
     rows: Rows = None,
@@ -51,7 +51,7 @@ def noise(
     Parameters
     ----------
     lag
-        Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).
+        Fit a lag of the bias behind the temperature, and use it if it fits better.
     without
         A time span of the record to leave out, such as "123 s..130 s"; may be repeated.
     sensor_rate
@@ -61,7 +61,6 @@ def noise(
         Draw the Allan deviation, its fit and the curve of the Direct Bound into this file (.png, .svg, .pdf).
     """
     drawable(plot)
-    lag_s = lag if lag in ("auto", "fit", "none") else quantity(lag, "time", "--lag")
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, columns, rows, unit=unit)
     if sensor_rate is not None:
@@ -73,7 +72,7 @@ def noise(
     found: list[tuple[Instability, AllanFit]] = []
     drawn = []
     for name in axis or recorded.axes:
-        rest = work.at_rest(recorded, name, of_unit, bias_degree=None, lag=lag_s, without=left_out)
+        rest = work.at_rest(recorded, name, of_unit, bias_degree=None, lag=lag, without=left_out)
         rest.walk_of_sensor(0.0)  # asks before anything is printed
         deviation, fit = work.allan_of(rest)
         drawn.append((rest, deviation, fit))

@@ -23,7 +23,7 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit, missing
-from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.hardware.roles import Floats, ImuBatch, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency
@@ -224,6 +224,7 @@ class FrameDecoder(SampleDecoder):
         poly, init, xorout = (int(text, 16) for text in (check.poly, check.init, check.xorout))
         self._crc = CrcOfRows(check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
         self._buffer = np.empty(0, np.uint8)
+        self._arrived = np.empty(0)
         # A stream may begin with a unit that starts.
         self._starting = True
         rate_hz, restarts_at = float(unit.rate), stamp and stamp.restarts_at
@@ -233,7 +234,9 @@ class FrameDecoder(SampleDecoder):
             tick_s = 1.0 / float((stamp and stamp.rate) or rate_hz)
             super().__init__("count" if stamp else "", rate_hz, tick_s, restarts_at)
 
-    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+    def push(self, data: bytes, host_time_s: float | Floats) -> ImuBatch:
+        """The samples; `host_time_s`: when the bytes were in hand, one time or that of each byte."""
+        self._arrived = np.concatenate([self._arrived, np.broadcast_to(host_time_s, len(data))])
         self._buffer = np.concatenate([self._buffer, np.frombuffer(data, np.uint8)])
         starts, done = self._frames()
         batches: list[ImuBatch] = []
@@ -243,9 +246,11 @@ class FrameDecoder(SampleDecoder):
             if len(run):
                 self._noise(int(run[0]) - place)
                 place = int(run[-1]) + length
-                batches.append(self._decode(self._buffer[run[0] : place].reshape(-1, length), host_time_s))
+                batches.append(
+                    self._decode(self._buffer[run[0] : place].reshape(-1, length), self._arrived[run + length - 1])
+                )
         self._noise(done - place)
-        self._buffer = self._buffer[done:]
+        self._buffer, self._arrived = self._buffer[done:], self._arrived[done:]
         return join(batches)
 
     def _frames(self) -> tuple[NDArray[np.int64], int]:
@@ -280,7 +285,7 @@ class FrameDecoder(SampleDecoder):
         sent = np.ascontiguousarray(rows[:, check.at : check.at + check.width // 8])
         return self._crc(covered) == sent.view(f"{'>' if check.order == 'big' else '<'}u{check.width // 8}")[:, 0]
 
-    def _decode(self, rows: NDArray[np.uint8], host_time_s: float) -> ImuBatch:
+    def _decode(self, rows: NDArray[np.uint8], host_time_s: Floats) -> ImuBatch:
         unit, count = self._unit, len(rows)
         stamps = np.zeros(count)
         if self._stamp is not None:

@@ -154,15 +154,17 @@ def wrapped(values: Floats) -> Bools:
     least = 6.0 * float(np.nanmedian(bends))
     within = np.where(far, 0.0, step)
 
-    def against(out: int, back: int, rows: int) -> bool:
-        sides = [(out, within[max(out - rows, 0) : out]), (back, within[back + 1 : back + 1 + rows])]
-        if back - out > 2 * rows:  # else too short a time to have slopes
-            sides += [(out, within[out + 1 : out + 1 + rows]), (back, within[back - rows : back])]
-        return all(-np.sign(step[at]) * float(np.sum(side)) > least for at, side in sides)
+    def against(at: int, first: int, rows: int) -> bool:
+        """Whether the values change against the step `at` a row, in so many `rows`."""
+        return bool(-np.sign(step[at]) * np.sum(within[max(first, 0) : first + rows]) > least)
 
     for out, back in itertools.pairwise(np.flatnonzero(far).tolist()):
-        if step[out] * step[back] < 0.0 and not result[out] and any(against(out, back, rows) for rows in _SLOPES):
-            result[out + 1 : back + 1] = True
+        for rows in _SLOPES if step[out] * step[back] < 0.0 and not result[out] else ():
+            beside = against(out, out - rows, rows) and against(back, back + 1, rows)
+            # (Else it lasts too short a time to have slopes.)
+            lasts = back - out > 2 * rows
+            if beside and (not lasts or (against(out, out + 1, rows) and against(back, back - rows, rows))):
+                result[out + 1 : back + 1] = True
     return result
 
 
@@ -248,19 +250,17 @@ def jumped_temperature(values: Floats, starts: Whole) -> Bools:
     cut = np.abs(np.diff(own)) > _JUMP_K
     if not cut.any():
         return result
-    begins = np.concatenate([[0], np.flatnonzero(cut | np.isin(known[1:], starts)) + 1])
-    pieces = np.column_stack([begins, np.append(begins[1:], len(known))])
-    longest = int(np.argmax(np.diff(pieces)))
+    pieces = np.split(np.arange(len(own)), np.flatnonzero(cut | np.isin(known[1:], starts)) + 1)
+    longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece on, forward and back, a piece that begins near where the last good one ended is good.
     for order, near, far in ((pieces[longest:], 0, -1), (pieces[longest::-1], -1, 0)):
-        good = own[range(*order[0])[far]]
-        for first, end in order[1:].tolist():
-            piece = range(first, end)
-            behind_gap = known[first if near == 0 else end] in starts
+        good = own[order[0][far]]
+        for before, piece in itertools.pairwise(order):
+            behind_gap = known[max(piece[0], before[0])] in starts
             if behind_gap or abs(own[piece[near]] - good) <= _JUMP_K:
                 good = own[piece[far]]
             else:
-                result[known[first:end]] = True
+                result[known[piece]] = True
     return result if np.mean(result) < _JUMPED else np.zeros(len(values), bool)
 
 
@@ -345,9 +345,8 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
                 f"{log.time_s[last - 1]:.6g} s"
             )
 
-    for where, values in log.channels(number).items():
-        if channels is not None and where not in channels:
-            continue
+    wanted = {name: of for name, of in log.channels(number).items() if channels is None or name in channels}
+    for where, values in wanted.items():
         shown, size = _SHOWN[where.split()[0]]
         own = np.where(usable, values, np.nan)
         if (steps := coarse_steps(own)).off:

@@ -167,22 +167,24 @@ def _refined(
     turned, apart = np.diff(track.angle_deg), np.diff(track.time_s)
     offset_s, usual_s = lag_s + middle_s, float(np.median(np.diff(time_s)))
     # The angle turned across a gap is unknown.
-    part: NDArray[np.int64] = np.cumsum(np.diff(time_s, prepend=time_s[0]) > 5.0 * usual_s)
+    part: Any = np.cumsum(np.diff(time_s, prepend=time_s[0]) > 5.0 * usual_s)
 
     def at(times_s: Floats, values: Floats) -> Floats:
-        return np.stack([np.interp(times_s, time_s, one) for one in values.T], axis=1)
+        columns: list[Floats] = [np.interp(times_s, time_s, one) for one in values.T]
+        return np.stack(columns, axis=1)
 
     def left(line: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Residuals of the turns, zero where they are not known, these turns, their weights, and the direction."""
         times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
-        row: NDArray[np.int64] = np.clip(np.searchsorted(time_s, times_s, side="right"), 1, len(time_s) - 1)
+        after: Any = np.searchsorted(time_s, times_s, side="right")
+        row = after.clip(1, len(time_s) - 1)
         inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
         keep = inside[1:] & inside[:-1] & (part[row[1:]] == part[row[:-1]]) & (apart < _LONGEST_S)
         variance: Floats = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)
         weight = 1.0 / np.sqrt(variance[1:] + variance[:-1])
         design: Floats = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
         known: Floats = turned * keep
-        solution: Floats = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
+        solution: Any = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
         return known - design @ solution, known, weight, solution[:-1]
 
     def weighted(line: Floats) -> Floats:

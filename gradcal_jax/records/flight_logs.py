@@ -142,9 +142,9 @@ def _device(data: Any) -> str:
 
 def _samples(data: Any, start_s: float) -> tuple[Floats, Floats]:
     """The times of the samples (of the message, where the driver gave none), and x, y, z."""
-    sent = data.data["timestamp"]
-    taken = data.data.get("timestamp_sample", sent)
-    time = np.where(taken == 0, sent, taken).astype(np.float64)
+    sent: Any = data.data["timestamp"]
+    taken: Any = data.data.get("timestamp_sample", sent)
+    time = np.asarray(np.where(taken == 0, sent, taken), np.float64)
     return time * 1e-6 - start_s, np.stack([data.data[axis] for axis in "xyz"], axis=1).astype(np.float64)
 
 

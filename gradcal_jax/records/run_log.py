@@ -260,31 +260,42 @@ def _place(rows: Rows, parts: Sequence[_Part]) -> None:
 
 
 def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
-    broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), [part.first for part in parts])
-    found = list[Finding]()
-
-    def say(count: int, kind: str, done: str, message: str) -> None:
-        if count:
-            found.append(Finding(kind, done, count, message))
-
+    firsts = [part.first for part in parts]
+    broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), firsts)
     missing = int(rows["gap"][broken].sum())
-    say(len(broken), "gap", "split", f"about {missing} samples are missing at {len(broken)} places")
+    anew = len(np.setdiff1d(np.flatnonzero(rows["restarted"]), firsts))
     unsure_s = max(part.clock.residual_max_s for part in parts)
-    if unsure_s > SETTLED_S:
-        lateness = (
+    bad = sum(part.session.decoder.bad_bytes for part in parts if part.session.decoder is not None)
+    found = (
+        (
+            len(broken),
+            "gap",
+            "split",
+            f"about {missing} samples are missing at {len(broken)} places",
+        ),
+        (
+            int(unsure_s > SETTLED_S),
+            "late stamps",
+            "mask",
             f"the computer was so busy that its time stamps are accurate only to {unsure_s:.2g} s: as an additional "
-            "margin, this time is left out at both ends of every standstill"
-        )
-        found.append(Finding("late stamps", "mask", 0, lateness))
-    anew = int(np.count_nonzero(rows["restarted"])) - sum(bool(rows["restarted"][part.first]) for part in parts)
-    lost = "the samples lost in a restart are not counted as missing"
-    say(anew, "unit restarted", "split", f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; {lost}")
-    decoders = [part.session.decoder for part in parts if part.session.decoder is not None]
-    bad = sum(one.bad_bytes for one in decoders)
-    say(bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram")
-    attempts = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
-    say(sum(part.session.count("not done") for part in parts), "refused attempt", "mask", attempts)
-    return tuple(found)
+            "margin, this time is left out at both ends of every standstill",
+        ),
+        (
+            anew,
+            "unit restarted",
+            "split",
+            f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not "
+            "counted as missing",
+        ),
+        (bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram"),
+        (
+            sum(part.session.count("not done") for part in parts),
+            "refused attempt",
+            "mask",
+            "attempts at a step that the run itself did not accept are left out: see the journal for the reasons",
+        ),
+    )
+    return tuple(Finding(kind, done, count, message) for count, kind, done, message in found if count)
 
 
 def _provenance(parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:

@@ -27,9 +27,9 @@ FAR: Final = 10.0
 # Runs: rows of a frozen value and of one at a limit, rows at a limit in all, times the usual length, seconds of a
 # frozen temperature.
 _FROZEN, _HELD, _AT_LIMIT, _UNUSUAL, _FROZEN_S = 60, 3, 10, 10.0, 30.0
-# Outliers: rows of the median in motion and at rest, of the local noise, at the ends of a standstill that still settle,
-# about an outlier in which more than a pair is a bump; and the largest share.
-_BESIDE, _AROUND, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 51, 200, 25, 21, 2, 0.01
+# Outliers: rows of the median, of the local noise, at the ends of a standstill that still settle, about an outlier in
+# which more than a pair is a bump; and the largest share.
+_BESIDE, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 200, 25, 21, 2, 0.01
 # Below this rate (Hz) a single row may be the motion itself.
 _LEAST_RATE: Final = 20.0
 # A gap is longer than these seconds and intervals: over less, a rate is interpolated.
@@ -168,34 +168,30 @@ def wrapped(values: Floats) -> Bools:
     return result
 
 
-def outliers(values: Floats, standing: Whole | None, *, at_rest: bool) -> Bools:
+def outliers(values: Floats, standing: Whole | None) -> Bools:
     """`(n,)`: rare rows farther than `FAR` standard deviations of the noise about them from the median of their
-    neighbours; none if they are not rare. In motion they are single or pairs: what lasts longer, the sensor did feel.
+    neighbours, single or in pairs: what lasts longer, the sensor did feel. None if they are not rare.
 
-    `standing` `(n,)`: numbers of standstills, within which alone they are then looked for; None: by hand, where they
-    must also be far beyond the steps from row to row. `at_rest`: of a record that stands still throughout.
+    `standing` `(n,)`: numbers of standstills, within which alone they are then looked for; None: not known; they must
+    then be far beyond the steps from row to row, too, which may be those of a motion by hand.
     """
     ndimage: Any = importlib.import_module("scipy.ndimage")
     result = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
-    if len(known) < (2 * _WINDOW if at_rest else 2 * _LOCAL):
+    if len(known) < 2 * _LOCAL:
         return result
     own = values[known]
-    apart = np.abs(own - ndimage.median_filter(own, _AROUND if at_rest else _BESIDE, mode="reflect"))
-    if at_rest:
-        usual = float(np.median(apart))
-        far = (apart > FAR * 1.4826 * usual) & (usual > 0.0)
+    apart = np.abs(own - ndimage.median_filter(own, _BESIDE, mode="reflect"))
+    beyond = apart > FAR * _local_noise(apart, ndimage)
+    # (A wrong row moves its neighbours' medians, too, but by less.)
+    far = beyond & (apart >= 0.3 * ndimage.maximum_filter1d(apart, _BESIDE))
+    if standing is None:
+        # (A pair makes three steps, and two single rows four.)
+        steps = np.abs(np.diff(own, prepend=own[:1]))
+        far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
     else:
-        beyond = apart > FAR * _local_noise(apart, ndimage)
-        # (In motion a wrong row moves its neighbours' medians, too, but by less.)
-        far = beyond & (apart >= 0.3 * ndimage.maximum_filter1d(apart, _BESIDE))
-        if standing is None:
-            # (A pair makes three steps, and two single rows four.)
-            steps = np.abs(np.diff(own, prepend=own[:1]))
-            far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
-        else:
-            crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
-            far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
+        crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
+        far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -366,7 +362,7 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
             own[log.standstill < 0] = np.nan
         if at_rest or not slow:
             words = f"rows of {where} differ from their neighbours by more than {FAR:g} standard deviations"
-            mask(Reason.FAR_FROM_NEIGHBOURS, outliers(own, log.standstill, at_rest=at_rest), words)
+            mask(Reason.FAR_FROM_NEIGHBOURS, outliers(own, log.standstill), words)
     if log.temperature_c is not None:
         unknown = frozen_temperature(log.time_s, log.temperature_c[number], log.stretch_starts) & usable
         # (A constant temperature is judged elsewhere.)

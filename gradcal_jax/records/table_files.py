@@ -144,7 +144,7 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
             first = list(itertools.islice(rows, _LOOKED_AT))
             as_text = {places[one] for one in texts} | ({len(header)} if header else set[int]())
             cells = _cells(itertools.chain(first, rows), as_text.union(places.values()), as_text, layout)
-    except UnicodeError:
+    except (UnicodeError, LookupError):
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
         text = f'is not text in {name}: state its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
         raise LogError(f"{text}; or is it a file of another kind?") from None
@@ -336,7 +336,8 @@ def _read_numpy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
         if path.suffix.lower() == ".npy":
             if opened.ndim != 2:
                 raise LogError("the array must have one row for each sample and one column for each quantity")
-            return dict(enumerate(opened.T))
+            columns: Array = opened.T
+            return dict(enumerate(columns))
         # Other arrays are named but not read: they may be large.
         infos = [one for one in opened.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         _check_size(sum(info.file_size for info in infos), path)

@@ -176,8 +176,7 @@ def _refined(
     def left(line: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Residuals of the turns, zero where they are not known, these turns, their weights, and the direction."""
         times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
-        after: Any = np.searchsorted(time_s, times_s, side="right")
-        row = after.clip(1, len(time_s) - 1)
+        row: NDArray[np.int64] = np.asarray(np.searchsorted(time_s, times_s), np.int64).clip(1, len(time_s) - 1)
         inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
         keep = inside[1:] & inside[:-1] & (part[row[1:]] == part[row[:-1]]) & (apart < _LONGEST_S)
         variance: Floats = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)

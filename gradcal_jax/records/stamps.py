@@ -190,8 +190,10 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
     uneven = len(gaps) > max(_MANY, _UNEVEN * len(time))
     removed = sum(found.removed.values())
     # Where many rows were removed, some are missing.
-    even = _even_clock(time, gaps) if uneven and removed <= _OFTEN * len(time) else None
-    if even is not None and _are_arrivals(time, even, usual):
+    whole = removed <= _OFTEN * len(time)
+    even = _even_clock(time, gaps) if uneven and whole else None
+    repeats = whole and _repeat_a_pattern(time)
+    if even is not None and not repeats and _are_arrivals(time, even, usual):
         found.note(
             "uneven stamps",
             f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
@@ -201,7 +203,7 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
         )
         return even, np.zeros(1, np.int64)
     longer = interval[gaps] / usual
-    if _repeat_a_pattern(time) or (uneven and (even is not None or not _are_losses(time, longer, removed > 0))):
+    if repeats or (uneven and (even is not None or not _are_losses(time, longer, removed > 0))):
         found.question(
             "uneven stamps",
             f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
@@ -289,12 +291,14 @@ def _in_whole_milliseconds(time: Floats, usual: float) -> bool:
 
 def _repeat_a_pattern(time: Floats) -> bool:
     """Whether the intervals of stamps `(n,)` repeat a pattern of short and long ones that regular losses leave, and
-    uneven stamps of all rows as well: 1, 1, 2. Single rows that are late or missing at random repeat no pattern."""
+    uneven stamps of all rows as well: 1, 1, 2. Rows that arrive in bursts are much closer than rows over losses, and
+    single rows that are late or missing at random repeat no pattern."""
     interval = np.diff(time[:_PATTERN_ROWS])
     low, high = np.quantile(interval, [0.02, 0.98])
-    if len(interval) < 5 * _MANY or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
+    apart = np.minimum(interval / np.mean(interval[interval <= high]), 4.0)
+    in_bursts = np.mean(apart < 0.25) > _SHORT
+    if len(interval) < 5 * _MANY or in_bursts or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
         return False
-    apart = np.minimum(interval / np.median(interval), 4.0)
     power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * len(apart))) ** 2
     alike = np.fft.irfft(power)[: min(_PATTERN, len(apart) // 4)]
     # (Where the rate changes within the record, all are alike.)

@@ -20,7 +20,7 @@ from gradcal_jax.records.log import Reason
 from gradcal_jax.spec.rig import ImuDevice
 
 # Chunks that are decoded, and rows that are copied, at once.
-_CHUNKS, _BLOCK = 1 << 9, 1 << 16
+_CHUNKS, _BLOCK = 1 << 6, 1 << 16
 Rows = NDArray[Any]
 """A structured array: each row has all columns of a log."""
 

@@ -71,10 +71,6 @@ class FileTable:
             f"{source.words()}: the array has the shape {values.shape}: give the index of one of its columns"
         )
 
-    def rows_where(self, where: Where) -> Bools:
-        """`(rows,)`: the rows that are taken. Raises `LogError` where there are none."""
-        return rows_where(where, self.array(where))
-
 
 def rows_where(where: Where, values: Array) -> Bools:
     """`(rows,)`: the rows with the value. Raises `LogError` where there are none."""

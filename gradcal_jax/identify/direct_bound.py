@@ -23,7 +23,7 @@ stationary Gaussian processes", 1969; the 1 is the first start, and n starts are
     P ≈ 1 - exp(-2 min(1 + T C u², n) Φ(-u))
 
 and κ(t) = max(k, u(t)), with the P of each t such that a record of pure random walk is within the limit at every t with
-probability 95 %.
+probability 95 %. `raise_margin=False` gives the paper's κ = k.
 
 **Significance of the drift.** If D_θ* is within κ N √(1/t + 1/Δ) at every t, no drift is significant: the result is σ =
 0, with a message that states how large a drift could be hidden and from which Δ on it would be significant.
@@ -155,12 +155,14 @@ def fit_direct_bound(
     angle_random_walk: float,
     *,
     margin: float = 2.5,
+    raise_margin: bool = True,
     rate_in_words: Callable[[float], str] = "{:.3g} in the unit of the rates".format,
 ) -> DirectBound:
     """The feasible boundary of a channel and the tightest pair on it.
 
     **Arguments:** `observed` from `largest_drift`; `angle_random_walk` N, rad/√s (from an Allan fit or a data sheet;
-    too large an N hides drift, too small an N appears as drift); `margin` k; `rate_in_words` formats a rate for
+    too large an N hides drift, too small an N appears as drift); `margin` k; `raise_margin`: whether κ is raised to the
+    largest draw of random walk in a record of this length (see the module's head); `rate_in_words` formats a rate for
     the messages (the core uses SI units only). The τ's extend from a third of the shortest t to ten times the longest,
     and the chosen one is refined between its neighbours.
 
@@ -179,7 +181,7 @@ def fit_direct_bound(
     # Divided among the times: maxima at times a factor √e apart are nearly independent.
     chance = _CHANCE_OF_FALSE_DRIFT / (1.0 + 2.0 * np.log(t[-1] / t[0]))
     level = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=chance)
-    walk_margin = np.maximum(margin, level)
+    walk_margin = np.maximum(margin, level) if raise_margin else np.full(len(t), margin)
     walk_limit = walk_margin * np.sqrt(random_walk_variance_of_mean(t, delta, angle_random_walk))
     weight = _log_weights(t)
 

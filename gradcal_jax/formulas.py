@@ -218,35 +218,6 @@ def lagged_temperature(t: Array, start: Array, slope: Array, excess: Array, lag_
     return start + slope * t + excess * xp.exp(-lag_rate * t)
 
 
-def running_affine(factor: Array, added: Array) -> tuple[Array, Array]:
-    """Compositions of all maps `x -> factor·x + added` `(…, n)` up to and including each, along the last axis."""
-    xp, step = (factor + added).__array_namespace__(), 1
-    while step < factor.shape[-1]:
-        more = (
-            factor[..., step:] * factor[..., :-step],
-            factor[..., step:] * added[..., :-step] + added[..., step:],
-        )
-        factor, added = (
-            xp.concatenate([old[..., :step], new], axis=-1) for old, new in zip((factor, added), more, strict=True)
-        )
-        step *= 2
-    return factor, added
-
-
-def follow_ramp(t: Array, slope: Array, excess: Array, lag_rate: Array, lag: float) -> tuple[Array, Array]:
-    """Factor and summand of how far a first-order lag is behind `T = … + slope·t + excess·exp(−lag_rate·t)` after t:
-
-    D = T − L,  D' = T' − D/lag;   D(t) = D(0)·e^(−t/lag) + slope·lag·(1 − e^(−t/lag)) − lag_rate·excess·I
-    I = ∫ e^(−(t−s)/lag) e^(−lag_rate·s) ds = t·e^(−at)·(1 − e^(−(b−a)t))/((b−a)t)     a < b: lag_rate and 1/lag
-    """
-    xp = t.__array_namespace__()
-    keep = xp.exp(-t / lag)
-    slow, fast = xp.minimum(lag_rate, 1.0 / lag), xp.maximum(lag_rate, 1.0 / lag)
-    y = (fast - slow) * t
-    mean = xp.where(y > 1e-8, -xp.expm1(-y) / xp.where(y > 1e-8, y, 1.0), 1.0 - 0.5 * y)
-    return keep, -slope * lag * xp.expm1(-t / lag) - lag_rate * excess * t * xp.exp(-slow * t) * mean
-
-
 def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float]]:
     """A first-order lag behind samples `interval_s` apart with linear interpolation: numerator and denominator of the
     recursion, as `scipy.signal.lfilter` takes them. (A plain recursion would lag by half a sample.)

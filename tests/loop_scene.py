@@ -84,6 +84,4 @@ def recorded(truth: ImuTruth, spec: Spec, *, ways: int, seed: int) -> Log:
     number = (np.arange(count) >= count // 2).astype(int)
     angles = ("turn",), np.zeros((count, 1))
     at = kept.temperature_c[None]
-    second = None if kept.second_c is None else kept.second_c[None]
-    fields = {"simulated": True, "second_temperature_c": second}
-    return Log(kept.time_s, rate[None], ("u",), ("x", "y", "z"), at, *angles, None, number, **fields)
+    return Log(kept.time_s, rate[None], ("u",), ("x", "y", "z"), at, *angles, None, number, simulated=True)

@@ -6,13 +6,9 @@ import json
 import re
 import subprocess
 import sys
-import typing
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
-import jax
-import numpy as np
 import pytest
 
 import gradcal_jax as gj
@@ -20,7 +16,6 @@ from gradcal_jax.cli.app import build
 
 CALLABLE = [name for name in gj.__all__ if name != "presets"]
 UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
-SHAPE = re.compile(r"`\(|\[[a-z]+(, [a-z ]+)*\]|\bShapes\s+broadcast\b")
 # Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
 AT_A_TERMINAL = {"start", "demo", "new", "rig"}
 
@@ -32,41 +27,6 @@ def test_the_help_of_a_public_name_says_what_it_does_in_which_units_and_its_erro
     assert len(told.split()) >= 15
     assert re.search(r"\b(Errors:|Raises\b)", told), "no word of its errors"
     assert UNITS.search(told), "no word of units"
-
-
-def hints_of(named: object) -> dict[str, object]:
-    try:
-        return typing.get_type_hints(named)
-    except NameError:  # of what is imported for type checkers alone
-        return inspect.get_annotations(named)
-
-
-def parts(hint: object) -> Iterator[object]:
-    yield hint
-    for part in typing.get_args(hint):
-        yield from parts(part)
-
-
-def test_whatever_public_names_give_tells_the_shapes_of_its_arrays():
-    """Results, what they are made of, and so on, field by field: in the annotation, or in words beside it."""
-    waiting: list[object] = [getattr(gj, name) for name in CALLABLE]
-    seen: set[object] = set()
-    silent: list[str] = []
-    while waiting:
-        named = waiting.pop()
-        if named in seen:
-            continue
-        seen.add(named)
-        hints = hints_of(named)
-        if inspect.isclass(named):
-            bare = any(part in (np.ndarray, jax.Array) for hint in hints.values() for part in parts(hint))
-            if bare and not SHAPE.search(inspect.getsource(named)):
-                silent.append(named.__name__)
-        given = hints.values() if inspect.isclass(named) else [hints.get("return")]
-        found = [part for hint in given for part in parts(hint) if inspect.isclass(part)]
-        waiting += [part for part in found if part.__module__.startswith("gradcal_jax")]
-    assert len(seen) > 100
-    assert silent == []
 
 
 def test_functions_have_the_names_of_commands():

@@ -19,14 +19,15 @@ from gradcal_jax.plots.residual import boxes_of
 
 def main(folder: Path) -> None:
     use_float64()
-    (full, *_) = residuals_of(read_sources([folder / "run"], before=folder / "paper.toml"))
+    (paper, *_), (full, *_) = (residuals_of(read_sources([folder / name])) for name in ("paper.toml", "run"))
+    stages = full.stages | {"before": paper.stages["predicted"]}
     figure, axes = plt.subplots(2, 2, figsize=(10.0, 7.4), layout="constrained")
-    values = np.concatenate([left.values[0].ravel() for left in full.stages.values()])
+    values = np.concatenate([left.values[0].ravel() for left in stages.values()])
     colours = LogNorm(np.min(values), np.max(values))
-    for ax, (stage, left) in zip(axes.flat, full.stages.items(), strict=False):
+    for ax, (stage, left) in zip(axes.flat, stages.items(), strict=False):
         drawn = plots.draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, title=stage, ax=ax)
         drawn.mesh.set_norm(colours)
-    plots.draw_curves([box for stage, left in full.stages.items() for box in boxes_of(left, stage)], ax=axes[1, 1])
+    plots.draw_curves([box for stage, left in stages.items() for box in boxes_of(left, stage)], ax=axes[1, 1])
     figure.savefig(Path(__file__).with_name("residual.png"), dpi=100)
 
 

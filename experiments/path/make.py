@@ -5,16 +5,20 @@ environment variable GRADCAL_DATA names: three gyros at rest, 52 → −17 → 7
 """
 
 import os
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from gradcal_jax.estimation.bias_curves import BiasCurve
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.plots import save
-from gradcal_jax.plots.calibration import draw_loop
-from gradcal_jax.plots.style import new_panels
+from gradcal_jax.plots.style import PALETTE
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -64,16 +68,53 @@ def spec(*, plays: bool) -> Spec:
     })  # fmt: skip
 
 
+def draw_loop(curve: BiasCurve, ax: Axes) -> None:
+    """The difference between a channel's bias and its map, over temperature, on every leg: as measured, and as modelled
+    with ± 2 standard deviations."""
+    unit, factor = UNITS_OF_TERMS[curve.si_unit]
+    for first, end in legs_of(curve.temperature_c):
+        own = slice(first, end)
+        heats = curve.temperature_c[end - 1] > curve.temperature_c[first]
+        at, colour = curve.temperature_c[own], PALETTE[1 if heats else 0]
+        seen, fitted = ((v - curve.map)[own] * factor for v in (curve.measured, curve.model))
+        std = curve.std[own] * factor
+        ax.plot(at, seen, ".", markersize=3, color=colour)
+        dash = "-" if heats else "--"
+        ax.plot(at, fitted, dash, color=colour, label="heating" if heats else "cooling")
+        ax.fill_between(at, fitted - 2.0 * std, fitted + 2.0 * std, alpha=0.15, color=colour)
+    handles, labels = ax.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    ax.legend(by_label.values(), by_label.keys(), fontsize="small")
+    ax.set(xlabel="temperature, °C", ylabel=unit, title=f"{curve.channel.replace('_', ' ')}: bias beyond its map")
+
+
+def legs_of(temperature: np.ndarray) -> list[tuple[int, int]]:
+    """Rows `first … end − 1` of every heating or cooling leg of more than a twentieth of the range."""
+    least, legs = 0.05 * float(np.ptp(temperature)), [0]
+    highest = lowest = 0
+    # A leg ends where the temperature has returned by that from its extreme.
+    way = 0
+    for k, t in enumerate(temperature):
+        highest, lowest = (k if t > temperature[highest] else highest), (k if t < temperature[lowest] else lowest)
+        if way >= 0 and temperature[highest] - t > least:
+            legs, way, lowest = [*legs, highest], -1, k
+        elif way <= 0 and t - temperature[lowest] > least:
+            legs, way, highest = [*legs, lowest], 1, k
+    edges = [*legs, len(temperature) - 1]
+    return [(a, b + 1) for a, b in pairwise(edges) if abs(temperature[b] - temperature[a]) >= least]
+
+
 def main() -> None:
     """Estimate both ways, and draw."""
     jax.config.update("jax_enable_x64", True)
     log, reports = record(), list[SensorEstimate]()
     for plays in (False, True):
         reports += estimate_sensors(spec(plays=plays), [log])
-    figure, panels = new_panels(2, 3, (3.4, 2.6))
+    figure = Figure(figsize=(10.2, 5.2), layout="constrained")
+    panels = figure.subplots(2, 3)
     for row, report in zip(panels, reports, strict=True):
         for curve, ax in zip(report.curves, row, strict=True):
-            draw_loop(curve, ax=ax)
+            draw_loop(curve, ax)
     for ax, words in zip(panels[:, 0], ("a cubic in temperature", f"with plays of {WIDTHS} K"), strict=True):
         ax.set_ylabel(f"{words}\ndeg/h")
     save(figure, HERE / "loop.png")

@@ -3,12 +3,12 @@
 The header's text is `templates/calibration.h`.
 """
 
-import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from gradcal_jax.calibration.correction import SIGNALS, linear_part
@@ -61,21 +61,22 @@ class Header:
         self.matrix, self.bias = linear_part(calibration.channel, 0.5 * (low + high), self.inputs)
         self.inverse = np.linalg.inv(self.matrix)
 
-    def rounds(self, raw: Floats, temperature_c: Floats) -> Iterator[Floats]:
-        """The results, computed in float32 as in C, after each round: `(n, channels)`."""
+    def corrected(self, raw: Floats, temperature_c: Floats, rounds: int | None = None) -> tuple[Floats, int]:
+        """The results `(n, channels)`, computed in float32 as in C, after so many rounds (None: as many as large errors
+        need), and the number of rounds."""
         f = np.float32
         reading, temperature, inverse = raw.astype(f), temperature_c.astype(f), self.inverse.astype(f)
-        out = np.zeros_like(reading)
-        while True:
-            along, error = out.copy(), np.zeros_like(out)
+        out, number, settled = np.zeros_like(reading), 0, False
+        while number < (rounds or _MOST) and not settled:
+            before, along, error = out.copy(), out.copy(), np.zeros_like(out)
             for place, channel, term, (t0, t1, w0, w1), table in self.terms:
                 low, high, slow, fast = map(f, (*channel.valid_temperature, *channel.valid_rate))
                 x = (np.clip(temperature, low, high) - f(t0)) * f(t1)
                 w = (np.clip(along[:, place], slow, fast) - f(w0)) * f(w1)
-                value = _evaluated(table, x, w)
+                value = polyval(x, polyval(w, table.astype(f).T), tensor=False)
                 for name in term.signals:
-                    number = self.inputs.index(name.strip("|"))
-                    signal = (along if number == place else out)[:, number]
+                    factor = self.inputs.index(name.strip("|"))
+                    signal = (along if factor == place else out)[:, factor]
                     value = value * (np.abs(signal) if name.startswith("|") else signal)
                 error[:, place] += value
                 if channel.misaligns(term):
@@ -83,22 +84,10 @@ class Header:
             left = reading - out - error
             for j in range(len(self.inputs)):
                 out += inverse[:, j] * left[:, j : j + 1]
-            yield out.astype(np.float64)
-
-    def after(self, count: int, raw: Floats, temperature_c: Floats) -> Floats:
-        """The result `(n, channels)` after `count` rounds."""
-        return next(itertools.islice(self.rounds(raw, temperature_c), count - 1, None))
-
-
-def _evaluated(table: NDArray[Any], x: Any, w: Any) -> Any:
-    """Σ table[i, j] xⁱ wʲ in float32, in the order of the header's loops."""
-    total: Any = np.zeros(x.shape, np.float32)
-    for line in table[::-1]:
-        row: Any = np.zeros(x.shape, np.float32)
-        for value in line[::-1]:
-            row = row * w + np.float32(value)
-        total = total * x + row
-    return total
+            number += 1
+            change, size = np.max(np.abs(out - before), axis=0), np.max(np.abs(out), axis=0)
+            settled = rounds is None and number >= _FEWEST and bool(np.all(change <= _SETTLED * size))
+        return out.astype(np.float64), number
 
 
 def c_header(calibration: Calibration, options: ExportOptions) -> Target:
@@ -107,18 +96,14 @@ def c_header(calibration: Calibration, options: ExportOptions) -> Target:
     temperature, true = within_ranges(calibration, header.inputs, _POINTS)
     temperature = temperature.astype(np.float32).astype(np.float64)
     raw = (true @ header.matrix.T + header.bias).astype(np.float32).astype(np.float64)
-    # As many rounds as large errors need.
-    rounds, out = 0, np.zeros_like(raw)
-    for now in itertools.islice(header.rounds(raw, temperature), _MOST):
-        change, rounds, out = np.max(np.abs(now - out), axis=0), rounds + 1, now
-        if rounds >= _FEWEST and np.all(change <= _SETTLED * np.max(np.abs(now), axis=0)):
-            break
+    out, rounds = header.corrected(raw, temperature)
+    notes = ("float32, no allocation, no division; channels in the order of the header",)
+    text = _text(header, rounds, temperature[0], raw[0], out[0])
 
     def corrected(raw: Floats, temperature_c: Floats) -> Floats:
-        return header.after(rounds, raw, temperature_c)
+        return header.corrected(raw, temperature_c, rounds)[0]
 
-    notes = ("float32, no allocation, no division; channels in the order of the header",)
-    return Target(_text(header, rounds, temperature[0], raw[0], out[0]), corrected, notes, header.inputs)
+    return Target(text, corrected, notes, header.inputs)
 
 
 def _text(header: Header, rounds: int, at: float, raw: Floats, out: Floats) -> str:

@@ -220,7 +220,7 @@ def _with_gradient(channel: CalibratedChannel, path: Sequence[PathCoefficient]) 
 
 
 def _is_gradient(one: PathCoefficient) -> bool:
-    return one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not (one.own or one.second_thermometer)
+    return one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not one.own
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
@@ -282,7 +282,6 @@ def _of_unit(log: Log, number: int, channels: Mapping[str, Floats]) -> Log:
         specific_force_m_per_s2=np.stack(forces, axis=1)[None] if forces else None,
         units=(log.units[number],),
         temperature_c=None if log.temperature_c is None else log.temperature_c[[number]],
-        second_temperature_c=None if log.second_temperature_c is None else log.second_temperature_c[[number]],
         status=None if log.status is None else log.status[[number]],
     )
 

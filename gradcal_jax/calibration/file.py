@@ -100,8 +100,6 @@ class PathCoefficient(Section):
     """SI unit of the estimate and its standard deviation."""
     width: q.PositiveTemperatureDifference | None = None
     """Half-width of the hysteresis (of its play); absent: the term is not a hysteresis."""
-    second_thermometer: q.Flag = False
-    """Whether the coefficient multiplies the difference between the second thermometer and the first."""
     own: q.Flag = False
     """Whether the coefficient belongs to an error class of your own; neither `apply` nor exports correct such
     errors."""
@@ -356,11 +354,6 @@ class Calibration(TitledFile):
     def _shown(self) -> list[str]:
         name = f"Calibration of {self.serial_number}" + ", SIMULATED" * self.simulated
         return [name, self.valid_range, *(f"contradicted: {test}" for test in self.contradicted)]
-
-    def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
-        """The failed tests of a channel, and those of all channels together."""
-        others = tuple(f"{c.name}: " for c in self.channel if c is not channel)
-        return tuple(name for name in self.contradicted if not name.startswith(others))
 
 
 def is_calibration(document: Mapping[str, Any]) -> bool:

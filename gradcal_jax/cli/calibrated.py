@@ -1,22 +1,12 @@
 """`gradcal apply`, `validate` and `export`: uses of a calibration."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import (
-    DONE,
-    NOT_AS_WISHED,
-    ForceOutput,
-    Json,
-    JsonNumbers,
-    OptionalOutput,
-    Output,
-    as_json,
-    strong,
-    writable,
-)
+from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, show, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity
 from gradcal_jax.tables.table import Column, Table
@@ -24,7 +14,8 @@ from gradcal_jax.units import G
 
 if TYPE_CHECKING:
     from gradcal_jax.calibration.exports import Export
-    from gradcal_jax.estimation.validation import Acceptance, AxisValidation
+    from gradcal_jax.estimation.validation import AxisValidation
+    from gradcal_jax.records.log import Log
 
 Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
 
@@ -64,25 +55,16 @@ def apply(
     corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
-    if json:
-        record = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
-        record["not_taken_off"] = list(corrected.left_in)
-        print(as_json({"log": str(output), "simulated": corrected.log.simulated, **record}))
-    else:
-        print(described(corrected.log, str(log)))
-        for what, count in outside.items():
-            if count:
-                print(
-                    f"note: {count} {what} are outside the range of the calibration: the value at the edge of the "
-                    "range was used"
-                )
-        if corrected.left_alone:
-            alone = ", ".join(corrected.left_alone)
-            print(f"note: these channels are not in the calibration, and were left unchanged: {alone}")
-        if corrected.left_in:
-            print(f"note: these errors are in the calibration, but were not subtracted: {', '.join(corrected.left_in)}")
-        print(f"wrote {output}")
-    return NOT_AS_WISHED if any(outside.values()) else DONE
+    record = {"log": str(output), "simulated": corrected.log.simulated, "rows": corrected.log.counts(0)}
+    record |= {"outside": outside, "not_calibrated": list(corrected.left_alone)}
+    record["not_taken_off"] = list(corrected.left_in)
+    edge = "are outside the range of the calibration: the value at the edge of the range was used"
+    notes = [f"{count} {what} {edge}" for what, count in outside.items() if count]
+    alone, left_in = ", ".join(corrected.left_alone), ", ".join(corrected.left_in)
+    notes += [f"these channels are not in the calibration, and were left unchanged: {alone}"] if alone else []
+    notes += [f"these errors are in the calibration, but were not subtracted: {left_in}"] if left_in else []
+    lines = [described(corrected.log, str(log)), *(f"note: {note}" for note in notes), f"wrote {output}"]
+    return show("\n".join(lines), record, json=json, wished=not any(outside.values()))
 
 
 def validate(
@@ -93,7 +75,6 @@ def validate(
     unit: Unit = None,
     earth_rate: str | None = None,
     gravity: str | None = None,
-    parts: int = 3,
     columns: Columns = None,
     rows: Rows = None,
     json: JsonNumbers = False,
@@ -109,13 +90,9 @@ def validate(
         The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     gravity
         Local gravity, such as "9.8123 m/s^2", for accelerometers; by default standard gravity.
-    parts
-        Print the errors for this number of temperature ranges.
     """
     from gradcal_jax.calibration import read_calibration
 
-    if parts < 1:
-        raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     weight = G if gravity is None else quantity(gravity, "acceleration", "--gravity")
     content = read_calibration(calibration)
@@ -124,27 +101,16 @@ def validate(
     from gradcal_jax.estimation import validation as work
 
     name = _unit(recorded, content.serial_number, unit)
-    axes = work.validate(
-        content,
-        recorded,
-        unit=name,
-        temperature_parts=parts,
-        earth_rate=earth,
-        gravity=weight,
-    )
+    axes = work.validate(content, recorded, unit=name, earth_rate=earth, gravity=weight)
     judged = work.acceptances(content, axes)
-    if json:
-        simulated = recorded.simulated or content.simulated
-        verdicts = [row._asdict() for row in judged]
-        print(as_json({"simulated": simulated, "axes": work.validation_rows(axes), "requirements": verdicts}))
-    else:
-        print(described(recorded, str(log)))
-        for row in axes:
-            print("\n" + _validation_text(row))
-        for one in judged:
-            print("\n" + _acceptance_text(one))
+    record = {"simulated": recorded.simulated or content.simulated, "axes": work.validation_rows(axes)}
+    record["requirements"] = [row._asdict() for row in judged]
+    lines = [described(recorded, str(log)), *("\n" + _validation_text(row) for row in axes)]
+    for row in judged:
+        error = f"{row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors that all moves have in"
+        lines += ["", f"{row.name}, axis {row.axis}: {strong(row.verdict)}", f"  {error} common are not included)"]
     worse = any(after > before for row in axes for before, after in row.rms.values())
-    return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
+    return show("\n".join(lines), record, json=json, wished=not worse and all(row.verdict == "met" for row in judged))
 
 
 def export(
@@ -197,21 +163,16 @@ def export(
     done = exports.export(content, format or "template", **chosen, template=text)
     if output is not None:
         write_whole(output, done.text)
-    if json:
-        rows = [loss._asdict() for loss in done.losses]
-        print(as_json({"text": done.text, "losses": rows, "notes": done.notes}))
-    elif output is not None:
-        print(export_text(done))
-        print(f"wrote {output}")
-    else:
-        import sys
-
+    words = export_text(done)
+    if output is None and not json:
         print(done.text, end="")
-        print(export_text(done), file=sys.stderr)
-    return DONE
+        print(words, file=sys.stderr)
+        return 0
+    record = {"text": done.text, "losses": [loss._asdict() for loss in done.losses], "notes": done.notes}
+    return show(f"{words}\nwrote {output}", record, json=json)
 
 
-def _unit(log, serial_number: str, unit: str | None) -> str | int:
+def _unit(log: "Log", serial_number: str, unit: str | None) -> str | int:
     if unit is not None:
         return unit
     if serial_number in log.units:
@@ -220,15 +181,6 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
         return 0
     raise ValueError(
         f"the calibration is for {serial_number}, but the log has {', '.join(log.units)}: choose the IMU with --unit"
-    )
-
-
-def _acceptance_text(row: "Acceptance") -> str:
-    """A verdict, with the measured error."""
-    return (
-        f"{row.name}, axis {row.axis}: {strong(row.verdict)}\n"
-        f"  {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors that all moves have in common "
-        "are not included)"
     )
 
 

@@ -1,22 +1,15 @@
-"""`gradcal check`: all errors of a spec at once; a summary of its plan, or a recipe as a table."""
+"""`gradcal check`: all errors of a spec at once; its plan, or that of a recipe, as tables."""
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, as_json, strong
+from gradcal_jax.cli.output import Flag, Json, show, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.tables.table import Cell, Table
-from gradcal_jax.units import time_text, times_text
+from gradcal_jax.tables.table import Table
+from gradcal_jax.units import times_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from gradcal_jax.spec.motion_plan import PlanSchedule
-    from gradcal_jax.spec.moves import ResolvedMove
     from gradcal_jax.spec.spec_sections import Spec
-
-_MOST_ROWS: Final = 60
 
 
 def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
@@ -25,47 +18,35 @@ def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int
     Parameters
     ----------
     file
-        The spec file, or a recipe. The table of a recipe lists the steps of the chamber, the moves of the rate table,
-        and the predicted errors.
+        The spec file, or a recipe. The tables list the steps of the chamber and the moves of the rate table; for a
+        recipe also the predicted errors.
     files_only
         Skip the computation of what the plan cannot observe; this computation takes a few seconds.
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
     """
+    from gradcal_jax.recipe.bench_tables import show as sheet
     from gradcal_jax.recipe.recipe import Recipe, spec_or_recipe
     from gradcal_jax.spec.memory import needed_bytes, too_large
 
     contents = spec_or_recipe(file)
     if isinstance(contents, Recipe):
-        from gradcal_jax.pages.bench_sheet import show
-
-        print(contents.model_dump_json(indent=2, exclude_none=True) if json else show(contents, heading=strong))
-        return DONE
+        return show(sheet(contents, heading=strong), contents.model_dump(mode="json", exclude_none=True), json=json)
     too = too_large(contents)
-    blind = [] if files_only or too else _blind(contents)
-    if json:
-        record = numbers(contents) | {"memory_bytes": needed_bytes(contents)}
-        print(as_json(record | {"unobservable": None if files_only or too else blind}))
-        return NOT_AS_WISHED if too else DONE
-    print(strong(contents.title or str(file)))
-    print(summary(contents))
-    if omitted := omitted_lines(contents):
-        print("\n".join(omitted))
-    if too:
-        print(f"too large: {too}")
-        return NOT_AS_WISHED
+    blind: list[str] = []
+    if not (files_only or too):
+        use_float64()
+        from gradcal_jax.information.plan_sentences import check as check_of
+
+        blind = check_of(contents)
+    record = numbers(contents) | {"memory_bytes": needed_bytes(contents)}
+    record["unobservable"] = None if files_only or too else blind
+    lines = [strong(contents.title or str(file)), summary(contents), *omitted_lines(contents)]
     for sentence in blind:
-        print(f"{'cannot be observed' if 'cannot observe' in sentence else 'note'}: {sentence}")
-    print("the spec has no errors" + ("; read the warnings above" if blind else ""))
-    return DONE
-
-
-def _blind(spec: "Spec") -> list[str]:
-    """What the plan cannot observe, and requirements beyond its range."""
-    use_float64()
-    from gradcal_jax.information.plan_sentences import check as check_of
-
-    return check_of(spec)
+        lines.append(f"{'cannot be observed' if 'cannot observe' in sentence else 'note'}: {sentence}")
+    sound = "the spec has no errors" + ("; read the warnings above" if blind else "")
+    lines.append(f"too large: {too}" if too else sound)
+    return show("\n".join(lines), record, json=json, wished=not too)
 
 
 def numbers(spec: "Spec") -> dict[str, Any]:
@@ -101,7 +82,9 @@ def omitted_lines(spec: "Spec") -> list[str]:
 
 
 def summary(spec: "Spec") -> str:
-    """A summary of the plan as plain text, from the file alone."""
+    """Requirements and plan as plain text, from the file alone."""
+    from gradcal_jax.recipe.bench_tables import plan_lines
+    from gradcal_jax.recipe.tracks import tracks_of
     from gradcal_jax.spec.schedule import StandardSchedule
 
     required: list[tuple[str, ...]] = []
@@ -113,81 +96,23 @@ def summary(spec: "Spec") -> str:
         target = "" if r.target is None else str(r.target)
         required.append((r.name, r.quantity.replace("_", " "), r.axis, r.statistic, over, target))
     heads = ["requirement", "quantity", "axis", "statistic", "within", "target"]
-    lines = [Table.of(heads, required).text()] if required else []
     schedule = spec.schedule
-    if isinstance(schedule, StandardSchedule):
-        total = times_text(schedule.duration, schedule.soak, schedule.motion, "integration")
-        rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
-        lines += ["", f"plan: standard method, {total}; {schedule.readings} points", f"at {rates} deg/s each, at"]
-        lines.append(", ".join(f"{temperature:g}" for temperature in schedule.temperatures) + " degC")
-    else:
-        lines += ["", *_gradient(spec, schedule)]
+    moving = "integration" if isinstance(schedule, StandardSchedule) else "temperature motion"
+    lines = [Table.of(heads, required).text(), ""] if required else []
+    lines.append(
+        f"plan: {spec.plan.method} method, {times_text(schedule.duration, schedule.soak, schedule.motion, moving)}"
+    )
+    try:
+        lines += plan_lines(tracks_of(spec), strong)
+    except ValueError as error:
+        lines.append(f"note: the plan cannot be made a recipe: {error}")
     return "\n".join([*lines, *(f"note: {note}" for note in notes(spec))])
 
 
-def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
-    from gradcal_jax.spec.motion_plan import duration_of, row_count
-
-    total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
-    table = spec.rig.table
-    every = time_text(float(table.axis[0].angle.read_every)) if table.standing == "read" else ""
-    rows: list[tuple[Cell, ...]] = []
-    for segment in schedule.segments[:_MOST_ROWS]:
-        slope = None if segment.kind == "soak" else f"{60.0 * segment.slope:+.4g} K/min"
-        times = time_text(segment.start), time_text(segment.duration)
-        used = "yes" if segment.used else "no"
-        rows.append((times[0], segment.kind, times[1], f"{segment.temperature_end:.5g} degC", slope, used))
-    heads = ["at", "chamber", "for", "to", "slope", "used"]
-    lines = [
-        f"plan: gradient method, {total}; {len(schedule.segments)} segments",
-        *_first(heads, rows, schedule.segments),
-    ]
-    if schedule.steps:
-        parts = [f"moves {time_text(duration_of(schedule.steps))}"]
-        parts += [f"other axes {time_text(s.move.duration)} ({_read(s.move, every)})" for s in schedule.after]
-        cycles = sum(stretch.cycles for stretch in schedule.stretches)
-        lines += ["", f"cycle: {time_text(schedule.period)}, made {cycles} times: {', '.join(parts)}"]
-        moves: list[tuple[Cell, ...]] = []
-        for step in schedule.steps[:_MOST_ROWS]:
-            move, turn = step.move, ("", "", "")
-            if not move.is_rest:
-                turn = (
-                    f"{math.degrees(move.angle):+.6g} deg",
-                    f"{math.degrees(move.fastest):.4g} deg/s",
-                    f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
-                )
-            axis = table.axis[step.axis].name if step.axis >= 0 else ""
-            moves.append((axis, move.shape, time_text(move.duration), *turn, _read(move, every)))
-        heads = ["axis", "move", "duration", "angle", "up to", "acceleration", "readings"]
-        lines += _first(heads, moves, schedule.steps)
-    else:
-        lines.append("the table stands" + (f" and is read every {every}" if every else ""))
-    return [*lines, f"readings: {row_count(schedule, table)}"]
-
-
-def _read(move: "ResolvedMove", every: str) -> str:
-    """How a move or a rest is read; `every`: of a table that is read as it stands."""
-    if move.read_every is not None:
-        return "at the end" if math.isinf(move.read_every) else f"every {time_text(move.read_every)}"
-    if move.reads_as_table:
-        return f"every {every}" if every else ""
-    return "at the end" if move.read_end else "none"
-
-
-def _first(heads: list[str], rows: list[tuple[Cell, ...]], whole: "Sequence[object]") -> list[str]:
-    """The first rows of a whole, and the number of further ones."""
-    more = len(whole) - len(rows)
-    return [Table.of(heads, rows).text(indent="  "), *([f"  … and {more} more"] if more > 0 else [])]
-
-
 def notes(spec: "Spec") -> list[str]:
-    """Notes on a sound spec: unused time, and a reference that counts as exact."""
+    """Notes on a sound spec: a reference that counts as exact."""
     from gradcal_jax.spec.schedule import StandardSchedule
 
     schedule = spec.schedule
-    if isinstance(schedule, StandardSchedule):
-        exact = any(schedule.rates) and spec.rig.table.rate_accuracy is None
-        return ["state rig.table.rate_accuracy: the reference rate counts as exact"] if exact else []
-    left = sum(stretch.leftover for stretch in schedule.stretches)
-    rests = schedule.steps and left > 0.0
-    return [f"after the moves of the last cycle, the table stays at rest for {time_text(left)}"] if rests else []
+    exact = isinstance(schedule, StandardSchedule) and any(schedule.rates) and spec.rig.table.rate_accuracy is None
+    return ["state rig.table.rate_accuracy: the reference rate counts as exact"] if exact else []

@@ -33,7 +33,7 @@ STEPS: Final = (
     ("The run in virtual time, on simulated devices", "run recipe.toml --simulate --seed 1 -o run"),
     ("The log of the run, from the raw bytes", "log run"),
     ("The calibration", "estimate run/log.nc --spec recipe.toml -o run/calibration.toml"),
-    ("The page", "report run -o report.html --before paper.toml"),
+    ("The page", "report run -o report.html"),
 )
 """The titles of the steps and their command lines."""
 

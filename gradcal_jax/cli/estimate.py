@@ -3,32 +3,16 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import (
-    DONE,
-    NOT_AS_WISHED,
-    ForceOutput,
-    JsonNumbers,
-    OptionalOutput,
-    Plot,
-    as_json,
-    drawable,
-    save_figure,
-    strong,
-    writable,
-)
+from gradcal_jax.cli.output import ForceOutput, JsonNumbers, OptionalOutput, show, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.recordings import Columns, LogFile, described, load, load_all, quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
-
     from gradcal_jax.calibration import Calibration
     from gradcal_jax.estimation.estimate import SensorEstimate
     from gradcal_jax.estimation.hand_estimate import HandReport
@@ -48,15 +32,11 @@ def estimate(
     *,
     spec: SpecFile = None,
     output: OptionalOutput = None,
-    axis: str | None = None,
     gravity: str | None = None,
     temperature: str | None = None,
-    lag: str = "auto",
-    clock: str | None = None,
     columns: Columns = None,
     force: ForceOutput = False,
     json: JsonNumbers = False,
-    plot: Plot = None,
 ) -> int:
     """Estimate a calibration from a log with the model of a spec, and test whether the data agree with the model.
 
@@ -77,38 +57,19 @@ def estimate(
     output
         The calibration file to write. If there are several IMUs, one file is written for each, and the name of the IMU
         is added to the name of the file.
-    axis
-        If the spec has one gyro on a table of one axis: the sensor axis about which the table turned; by default the
-        axis in the spec, or the only axis in the log.
     gravity
         Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference for three accelerometers and three
         gyros; no table and no spec are needed.
     temperature
         The temperature, if the log has none, such as "23 degC".
-    lag
-        The lag of the maps behind the measured temperature: a time, "none", or "auto" to estimate it and to use it if
-        the data show a lag.
-    clock
-        The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
-        the spec states; if the spec states none and the log has both clocks, the computer's.
-    plot
-        Draw the fit into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.calibration import write_calibration
     from gradcal_jax.recipe.recipe import spec_in
 
-    drawable(plot)
-    lag_s = lag if lag == "auto" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
-    if not isinstance(lag_s, str) and lag_s < 0.0:
-        raise ValueError(f"--lag {lag!r}: must not be negative")
-    if clock not in (None, "sensor", "host"):
-        raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
     model = None if spec is None else spec_in(spec)
-    if gravity is not None and (model is not None or axis or more):
-        raise ValueError("--gravity: an IMU that was turned by hand needs no --spec, --axis or second log")
-    if model is None and (lag != "auto" or clock is not None or axis is not None):
-        raise ValueError("--lag, --clock and --axis need --spec")
+    if gravity is not None and (model is not None or more):
+        raise ValueError("--gravity: an IMU that was turned by hand needs no --spec and no second log")
     g = None if gravity is None else quantity(gravity, "acceleration", "--gravity")
     if model is None and g is None:
         logs = load_all(log, columns)
@@ -121,60 +82,45 @@ def estimate(
     files = _files(output, tuple(of_all) if several else logs[0].units, force)
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
     if model is not None:
-        options = {"temperature_c": at, "lag": lag_s, "clock": clock}
-        done = _with_model(model, logs, axis, options, sources)
+        rows, texts, calibrations, wished = _with_model(model, logs, at, sources)
     elif g is not None:
-        done = _by_hand(logs[0], g, at, sources)
+        rows, texts, calibrations, wished = _by_hand(logs[0], g, at, sources)
     else:
-        done = _warm_up(logs, sources)
-    if json:
-        print(as_json(done.rows))
-    else:
-        for one, path in zip(logs, (log, *more), strict=False):
-            print(described(one, str(path)))
-        print("\n".join(done.texts))
-    for one in done.calibrations:
+        rows, texts, calibrations, wished = _warm_up(logs, sources)
+    lines = [described(one, str(path)) for one, path in zip(logs, (log, *more), strict=False)]
+    lines += texts
+    for one in calibrations:
         if (path := files.get(one.serial_number)) is not None:
             write_calibration(one, path)
-            if not json:
-                print(f"wrote {path}")
-    save_figure(done.draw, plot, quiet=json)
-    return DONE if done.as_wished else NOT_AS_WISHED
+            lines.append(f"wrote {path}; its page: gradcal report {path} -o page.html")
+    return show("\n".join(lines), rows, json=json, wished=wished)
 
 
-class _Done(NamedTuple):
-    """An estimate of either kind: its numbers, words, calibrations and picture."""
-
-    rows: Any
-    texts: list[str]
-    calibrations: "Sequence[Calibration]"
-    draw: "Callable[[Any], Figure]"
-    as_wished: bool
+# Of an estimate of any kind: its numbers, words, calibrations, and whether all is as wished.
+_Done = tuple[Any, list[str], "Sequence[Calibration]", bool]
 
 
-def _with_model(
-    model: "Spec", logs: "Sequence[Log]", axis: str | None, options: dict[str, Any], sources: dict[str, str]
-) -> _Done:
+def _with_model(model: "Spec", logs: "Sequence[Log]", at_c: float | None, sources: dict[str, str]) -> _Done:
     use_float64()
     from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
     from gradcal_jax.estimation.log_rows import Options
 
     with MovingLine(sys.stderr) as line:
         shown: dict[str, Any] = {} if line.plain else {"progress": line.show}
-        report = estimate_log(model, logs, axis=axis, options=Options(**options, **shown), sources=sources)
-    texts = [text_of_estimate(sensor) for sensor in report.sensors]
-    draw = lambda plots: plots.calibration.draw_estimate(report)  # noqa: E731
-    return _Done(estimate_rows(report), texts, report.calibrations, draw, report.as_wished)
+        report = estimate_log(model, logs, options=Options(temperature_c=at_c, **shown), sources=sources)
+    return estimate_rows(report), list(map(text_of_estimate, report.sensors)), report.calibrations, report.as_wished
 
 
 def _warm_up(logs: "Sequence[Log]", sources: dict[str, str]) -> _Done:
     """The biases over temperature of IMUs that warm up at rest, without a spec."""
     from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
+    from gradcal_jax.pages.tables import coefficients
 
     report = estimate_warm_up(logs, sources={"log": sources["log"]})
-    texts = [text_of_warm_up(one, report.messages[one.serial_number]) for one in report.calibrations]
-    draw = lambda plots: plots.calibration.draw_warm_up(report.calibrations[0])  # noqa: E731
-    return _Done(warm_up_rows(report), texts, report.calibrations, draw, report.as_wished)
+    texts: list[str] = []
+    for one in report.calibrations:
+        texts.append(_text(one, "", [coefficients(None, one)], [], report.messages[one.serial_number]))
+    return warm_up_rows(report), texts, report.calibrations, report.as_wished
 
 
 def _by_hand(log: "Log", gravity: float, temperature_c: float | None, sources: dict[str, str]) -> _Done:
@@ -184,9 +130,8 @@ def _by_hand(log: "Log", gravity: float, temperature_c: float | None, sources: d
     names = {"log": sources["log"]}
     reports = estimate_by_hand(log, gravity, units=log.units, temperature_c=temperature_c, sources=names)
     rows = {"units": list(map(hand_estimate_rows, reports))}
-    draw = lambda plots: plots.calibration.draw_by_hand(reports[0])  # noqa: E731
     wished = all(report.as_wished for report in reports)
-    return _Done(rows, list(map(text_of_held, reports)), [report.calibration for report in reports], draw, wished)
+    return rows, list(map(text_of_held, reports)), [report.calibration for report in reports], wished
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:
@@ -217,13 +162,6 @@ def text_of_estimate(report: "SensorEstimate") -> str:
         f"exceed 3σ, and the largest is {tested.largest:.1f}σ"
     )
     return _text(calibration, f"{report.solution.used.sum()} readings; rows: {counts}", tables, [fits], report.messages)
-
-
-def text_of_warm_up(calibration: "Calibration", messages: Sequence[str]) -> str:
-    """The biases of a warm-up at rest, in words."""
-    from gradcal_jax.pages.tables import coefficients
-
-    return _text(calibration, "", [coefficients(None, calibration)], [], messages)
 
 
 def text_of_held(report: "HandReport") -> str:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.output import DONE, Json, OptionalOutput, RunPath, as_json
+from gradcal_jax.cli.output import Json, OptionalOutput, RunPath, show
 from gradcal_jax.cli.recordings import Columns, load
 from gradcal_jax.units import time_text
 
@@ -46,14 +46,13 @@ def log(
     target = output or run / "log.nc"
     names = [unit] if unit is not None or recorded is not None else units_in(run)
     files = {name: target if len(names) == 1 else target.with_stem(f"{target.stem}-{name}") for name in names}
-    printed = [_written(run, name, recorded, path, quiet=json) for name, path in files.items()]
-    if json:
-        print(as_json(printed if len(names) > 1 else printed[0]))
-    return DONE
+    done = [_written(run, name, recorded, path) for name, path in files.items()]
+    records = [record for record, _ in done]
+    return show("\n".join(text for _, text in done), records if len(names) > 1 else records[0], json=json)
 
 
-def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
-    """Write the log of an IMU; what `--json` prints of it."""
+def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path) -> tuple[dict[str, Any], str]:
+    """Write the log of an IMU; what is printed of it."""
     from gradcal_jax.records.log_file import write_log
     from gradcal_jax.records.run_log import log
 
@@ -62,16 +61,12 @@ def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, 
     write_log(made, target)
     counts, name = made.counts(), made.units[0]
     standing = 0 if made.standstill is None else int(made.standstill.max()) + 1
-    record = {"log": str(target), "unit": name, "duration_s": made.duration_s, "rows": counts}
+    record: dict[str, Any] = {"log": str(target), "unit": name, "duration_s": made.duration_s, "rows": counts}
     record |= {"standstills": standing, "simulated": made.simulated, "provenance": dict(made.provenance)}
     record |= {"findings": [finding.message for finding in made.findings]}
-    if quiet:
-        return record
-    print(
+    simulated = " (simulated devices)" if made.simulated else ""
+    text = (
         f"{time_text(made.duration_s)} of {name}: {counts['used']} samples used of {made.rows_read}, "
-        f"{standing} standstills" + (" (simulated devices)" if made.simulated else "")
+        f"{standing} standstills{simulated}"
     )
-    for finding in made.findings:
-        print(f"note: {finding.message}")
-    print(f"wrote {target}")
-    return record
+    return record, "\n".join([text, *(f"note: {finding}" for finding in record["findings"]), f"wrote {target}"])

@@ -4,16 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import (
-    DONE,
-    NOT_AS_WISHED,
-    JsonNumbers,
-    Plot,
-    as_json,
-    drawable,
-    save_figure,
-    strong,
-)
+from gradcal_jax.cli.output import JsonNumbers, Plot, drawable, show, strong
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity, span
 
@@ -33,7 +24,6 @@ def noise(
     *,
     axis: Axes = (),
     unit: Unit = None,
-    lag: bool = True,
     without: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     columns: Columns = None,
     rows: Rows = None,
@@ -44,14 +34,13 @@ def noise(
     """Print the noise of a record at rest: the coefficients of the Allan deviation, and a Gauss-Markov process that
     bounds the drift (the Direct Bound of Z. Berman), as a part of a spec.
 
-    The bias over temperature is subtracted first, as a cubic, if the temperature changes by 5 K or more. The exit
+    The bias over temperature (a cubic, with a lag if that fits better) is subtracted first, if the temperature changes
+    by 5 K or more. The exit
     status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk is larger
     than that of any gyro: check the units.
 
     Parameters
     ----------
-    lag
-        Fit a lag of the bias behind the temperature, and use it if it fits better.
     without
         A time span of the record to leave out, such as "123 s..130 s"; may be repeated.
     sensor_rate
@@ -69,28 +58,23 @@ def noise(
     from gradcal_jax.identify import instability as work
 
     of_unit = 0 if unit is None else unit
-    found: list[tuple[Instability, AllanFit]] = []
-    drawn = []
+    done = []
     for name in axis or recorded.axes:
-        rest = work.at_rest(recorded, name, of_unit, bias_degree=None, lag=lag, without=left_out)
+        rest = work.at_rest(recorded, name, of_unit, without=left_out)
         rest.walk_of_sensor(0.0)  # asks before anything is printed
-        deviation, fit = work.allan_of(rest)
-        drawn.append((rest, deviation, fit))
-        found.append((work.instability(rest), fit))
-    if json:
-        channels = [
-            {**work.instability_row(bound), "allan": work.allan_row(*one)}
-            for (bound, _), one in zip(found, drawn, strict=True)
-        ]
-        print(as_json({"simulated": recorded.simulated, "channels": channels}))
-    else:
-        print(described(recorded, str(log)))
-        for bound, fit in found:
-            print("\n" + _text(bound, fit))
-    bounds = [bound for bound, _ in found]
-    save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
-    wished = [bound.bound.drift_shows and work.plausible(work.of_sensor(bound.rest, fit)) for bound, fit in found]
-    return DONE if all(wished) else NOT_AS_WISHED
+        done.append((rest, *work.allan_of(rest), work.instability(rest)))
+    lines, channels, wished = [described(recorded, str(log))], [], True
+    for rest, deviation, fit, bound in done:
+        lines += ["", _text(bound, fit)]
+        channels.append({**work.instability_row(bound), "allan": work.allan_row(rest, deviation, fit)})
+        wished &= bound.bound.drift_shows and work.plausible(work.of_sensor(rest, fit))
+    if plot is not None:
+        from gradcal_jax.plots import draw_noise, save
+
+        save(draw_noise(done), plot)
+        lines.append(f"wrote {plot}")
+    record = {"simulated": recorded.simulated, "channels": channels}
+    return show("\n".join(lines), record, json=json, wished=wished)
 
 
 def _at_rate(log: "Log", rate: str) -> "Log":

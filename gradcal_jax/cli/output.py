@@ -1,19 +1,14 @@
 """Options, exit statuses, printing, JSON and checks of output files for all commands."""
 
-import json
 import os
 import sys
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 from gradcal_jax.tables.display import printable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
 
 Flag = Annotated[bool, Parameter(negative="")]
 Force = Annotated[bool, Parameter(negative="", help="Overwrite an existing file.")]
@@ -28,9 +23,11 @@ Plot = Annotated[Path | None, Parameter(name="--plot")]
 _FIGURES: Final = (".png", ".svg", ".pdf")
 
 
-def as_json(value: Any) -> str:
-    """JSON for other programs: all numbers are finite; unknown values are null."""
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+def show(text: str, record: Any, *, json: bool, wished: bool = True) -> int:
+    """Print the text or, for other programs, the record: all its numbers are finite, unknown values are null. Returns
+    the exit status."""
+    print(dumps(record, indent=2, ensure_ascii=False, allow_nan=False) if json else text)
+    return DONE if wished else NOT_AS_WISHED
 
 
 def writable(path: Path, force: bool) -> None:
@@ -50,18 +47,6 @@ def drawable(plot: Path | None) -> None:
     if plot.suffix.lower() not in _FIGURES:
         raise ValueError(f"{plot}: the name of a figure must end in .png, .svg or .pdf")
     writable(plot, force=True)
-
-
-def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bool) -> None:
-    """Draw with `gradcal_jax.plots`, write the figure and, unless `quiet`, print its name. Without a `plot`, do
-    nothing."""
-    if plot is None:
-        return
-    from gradcal_jax import plots
-
-    plots.save(draw(plots), plot)
-    if not quiet:
-        print(f"wrote {plot}")
 
 
 DONE: Final = 0

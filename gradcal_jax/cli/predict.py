@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Plot, as_json, drawable, save_figure, strong
+from gradcal_jax.cli.output import Flag, Json, Plot, drawable, show, strong
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.units import time_text, times_text
 
@@ -25,8 +25,8 @@ def predict(
 ) -> int:
     """For every requirement of a spec, predict the error that remains after the plan, before anyone books a chamber.
 
-    If there are several specs, compare their plans: durations, remaining errors, and what limits each plan. For a
-    single spec, the exit status is 1 if a target is missed or a requirement cannot be observed.
+    If there are several specs, compare their plans: durations, remaining errors, and what limits each plan. The exit
+    status is 1 if a target is missed or a requirement cannot be observed.
 
     Parameters
     ----------
@@ -51,24 +51,23 @@ def predict(
     from gradcal_jax.information.prediction import predict as work
 
     predictions = [(name, work(spec, limits=True)) for name, spec in plans]
+    records = [one.model_dump(mode="json") for _, one in predictions]
     if len(plans) > 1:
-        if json:
-            print("[" + ",\n".join(one.model_dump_json(indent=2) for _, one in predictions) + "]")
-        else:
-            print(side_by_side(predictions))
-        save_figure(lambda plots: plots.draw_comparison(plans), plot, quiet=json)
-        return DONE
-    (_, spec), (_, prediction) = plans[0], predictions[0]
-    if json:
-        print(prediction.model_dump_json(indent=2))
+        lines = [side_by_side(predictions)]
     else:
-        print(prediction_text(prediction, str(specs[0])))
-        if parameters:
-            print("\n" + parameter_text(prediction))
-        if budget:
-            print(budget_text(spec))
-    save_figure(lambda plots: plots.draw_prediction(spec), plot, quiet=json)
-    return DONE if all(row.verdict in (None, "met") for row in prediction.requirements) else NOT_AS_WISHED
+        (_, spec), (_, prediction) = plans[0], predictions[0]
+        lines = [prediction_text(prediction, str(specs[0]))]
+        lines += ["", parameter_text(prediction)] if parameters else []
+        lines += [budget_text(spec)] if budget else []
+    if plot is not None:
+        from gradcal_jax.plots import draw_comparison, save
+
+        save(draw_comparison(plans), plot)
+        lines.append(f"wrote {plot}")
+    verdicts = {row.verdict for _, one in predictions for row in one.requirements}
+    return show(
+        "\n".join(lines), records if len(plans) > 1 else records[0], json=json, wished=verdicts <= {None, "met"}
+    )
 
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
@@ -84,8 +83,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     if prediction.omitted:
         count = len(prediction.omitted)
         lines.append(f"{count} errors are not in the file and count as is typical of the class: see --budget")
-    lines += [f"note: {warning}" for warning in prediction.warnings]
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"note: {warning}" for warning in prediction.warnings)])
 
 
 def parameter_text(prediction: "Prediction") -> str:
@@ -153,18 +151,15 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     from gradcal_jax.design.plan_limit import limit as limit_of
 
     rows = limit_of(specification)
-    if json:
-        print(as_json([row._asdict() for row in rows]))
-        return DONE
     cells: list[tuple[str, ...]] = []
     for row in rows:
         share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
         values = amount(row.certified, row.unit), amount(row.value, row.unit)
         cells.append((f"{row.name} ({row.statistic})", *values, share))
-    print(strong(specification.title or str(spec)))
-    print(Table.of(["requirement", "no plan leaves less than", "this plan leaves", "efficiency"], cells).text())
+    lines = [strong(specification.title or str(spec))]
+    lines.append(Table.of(["requirement", "no plan leaves less than", "this plan leaves", "efficiency"], cells).text())
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):
-        print("the limit is for all plans that keep: " + "; ".join(kept))
+        lines.append("the limit is for all plans that keep: " + "; ".join(kept))
     for relaxed in dict.fromkeys(row.relaxed for row in rows):
-        print("the proof ignores or relaxes: " + "; ".join(relaxed))
-    return DONE
+        lines.append("the proof ignores or relaxes: " + "; ".join(relaxed))
+    return show("\n".join(lines), [row._asdict() for row in rows], json=json)

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from gradcal_jax.cli.output import (
-    DONE,
-    FAILED,
-    Flag,
-    Json,
-    RunPath,
-    as_json,
-    complain,
-    strong,
-)
+from gradcal_jax.cli.output import DONE, FAILED, Json, RunPath, complain, show, strong
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.tables.display import printable
 from gradcal_jax.tables.table import Table
@@ -30,7 +21,7 @@ _SILENT_S = 60.0
 _LOOKS_S = 1.0
 
 
-def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
+def watch(run: RunPath, /, *, json: Json = False) -> int:
     """Show the state of a run until the run ends: step, actual and planned temperature, angles, samples.
 
     The command only reads the status file of the run, so you can end the command at any time. The exit status is 3 if
@@ -38,8 +29,6 @@ def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
 
     Parameters
     ----------
-    once
-        Show the state once, and do not wait for the end of the run.
     json
         Print the state once, as JSON.
     """
@@ -56,7 +45,7 @@ def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
             except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError):
                 raise ValueError(f"the status file in {run} was not written by a run of this program") from None
             if json:
-                print(as_json(status))
+                show("", status, json=True)
             elif status["at_s"] != shown:
                 shown = status["at_s"]
                 line.show(text, number=status.get("state"))
@@ -69,7 +58,7 @@ def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
                     "been killed"
                 )
                 return FAILED
-            if once or json:
+            if json:
                 return DONE
             time.sleep(_LOOKS_S)
 
@@ -99,11 +88,6 @@ def status_text(status: dict[str, Any]) -> str:
     return "; ".join(part for part in parts if part)
 
 
-_UNITS = {
-    "_k_per_min": "K/min", "_dps2": "deg/s^2", "_dps": "deg/s", "_deg": "deg", "_hz": "Hz", "_c": "degC", "_k": "K",
-}  # fmt: skip
-_ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
-
 rig_app = App(name="rig", help="Check the devices of a rig, or watch a run.")
 rig_app.command(watch)
 
@@ -130,27 +114,15 @@ def check(rig: Path, /, *, json: Json = False) -> int:
     description = read_rig(rig)
     reports = check_each(description, RealClock())
     good = all(report.good for report in reports)
-    if json:
-        print(as_json([json_of(asdict(report)) for report in reports]))
-    else:
-        print(strong(description.title or str(rig)))
-        answers = [row for report in reports for row in _rows(report)]
-        print(Table.of(["device", "driver", "port", "what it says"], answers).text(width=120))
-        for entry in description.axis:
-            print(f'  safe state of axis {entry.name} at the end of a run: "{entry.safe}"')
-        if description.chamber is not None:
-            print(f'  safe state of the chamber at the end of a run: "{description.chamber.safe}"')
-        print("every device answers as the rig file states" if good else "the rig is not ready")
+    answers = [row for report in reports for row in _rows(report)]
+    lines = [strong(description.title or str(rig))]
+    lines.append(Table.of(["device", "driver", "port", "what it says"], answers).text(width=120))
+    safe = [(f"axis {entry.name}", entry.safe) for entry in description.axis]
+    safe += [] if description.chamber is None else [("the chamber", description.chamber.safe)]
+    lines += [f'  safe state of {name} at the end of a run: "{state}"' for name, state in safe]
+    lines.append("every device answers as the rig file states" if good else "the rig is not ready")
+    show("\n".join(lines), [json_of(asdict(report)) for report in reports], json=json)
     return DONE if good else FAILED
-
-
-def _limit(name: str, value: object) -> str:
-    """A limit in words, with its unit; empty for one that the device does not have."""
-    none = value in (None, float("inf")) or (value == 0.0 and ("step" in name or "slowest" in name))
-    if isinstance(value, bool) or none:
-        return _ABILITIES.get(name, name.replace("_", " ")) if value is True else ""
-    words, unit = next((name.removesuffix(end), unit) for end, unit in _UNITS.items() if name.endswith(end))
-    return f"{words.replace('_', ' ')} {value:g} {unit}"
 
 
 def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
@@ -158,10 +130,9 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     if report.problem:
         return [(*head, report.problem)]
     identity = report.identity
-    described = (
-        "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
-    )
+    described = [] if identity is None else [identity.model, identity.serial_number, identity.firmware]
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
-    rows = [words for name, value in limits.items() if (words := _limit(name, value))]
-    return [(*head, described), *(("", "", "", row) for row in rows)]
+    known = {name: value for name, value in limits.items() if value and value != float("inf")}
+    rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in known.items()]
+    return [(*head, " ".join(described).strip()), *(("", "", "", row) for row in rows)]

@@ -7,7 +7,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, as_json, complain
+from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, complain, show
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.rig import status_text
 from gradcal_jax.units import parse, time_text
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gradcal_jax.recipe.recipe import Recipe
     from gradcal_jax.spec.rig import RigFile
 
+_SAFE = {True: "safe", False: "NOT VERIFIED SAFE"}
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
 
@@ -116,13 +117,10 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
     plan = dry_run_on(track, check_each(bench, RealClock()))
-    if json:
-        print(as_json(asdict(plan)))
-    else:
-        print("\n".join(f"{name}: {what}" for name, what in plan.devices.items()))
-        print(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
-        problems = "\n".join(plan.problems)
-        print(problems or "every device accepts the recipe; nothing was moved")
+    lines = [f"{name}: {what}" for name, what in plan.devices.items()]
+    lines.append(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
+    lines += plan.problems or ["every device accepts the recipe; nothing was moved"]
+    show("\n".join(lines), asdict(plan), json=json)
     return FAILED if plan.problems else DONE
 
 
@@ -164,15 +162,10 @@ def _resume(path: Path, json: bool) -> int:
 
 
 def _say(folder: Path, result: "RunResult", json: bool) -> int:
-    if json:
-        print(as_json({"folder": str(folder), **asdict(result), "verified_safe": result.verified_safe}))
-    else:
-        for outcome in result.outcomes:
-            verified = "safe" if outcome.verified else "NOT VERIFIED SAFE"
-            print(f"{outcome.name}: {verified} ({outcome.action}; {outcome.evidence})")
+    lines = [f"{of.name}: {_SAFE[of.verified]} ({of.action}; {of.evidence})" for of in result.outcomes]
+    lines += [f"done; next, write the log: gradcal log {folder}"] if result.exit_status == "success" else []
+    show("\n".join(lines), {"folder": str(folder), **asdict(result), "verified_safe": result.verified_safe}, json=json)
     if result.exit_status == "success":
-        if not json:
-            print(f"done; next, write the log: gradcal log {folder}")
         return DONE if result.verified_safe else FAILED
     if result.begun:
         complain(

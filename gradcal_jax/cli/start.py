@@ -128,7 +128,7 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
         f"gradcal run {folder}/recipe.toml --rig {folder}/rig.toml -o {folder}/run",
         f"gradcal log {folder}/run{own}",
         f"gradcal estimate {folder}/run/log.nc --spec {folder}/recipe.toml -o {folder}/run/calibration.toml",
-        f"gradcal report {folder}/run -o {folder}/report.html --before {folder}/spec.toml",
+        f"gradcal report {folder}/run -o {folder}/report.html",
         f"gradcal export {folder}/run/calibration.toml --format c-header -o {folder}/calibration.h",
     ]
 

@@ -1,32 +1,16 @@
-"""`gradcal sweep`: many plans, on the cores of this machine or of a cluster."""
+"""`gradcal sweep`: many plans, on the cores of this machine."""
 
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
-from gradcal_jax.cli.output import (
-    DONE,
-    FAILED,
-    INTERRUPTED,
-    NOT_AS_WISHED,
-    Json,
-    Output,
-    Plot,
-    as_json,
-    complain,
-    drawable,
-    save_figure,
-    strong,
-)
+from gradcal_jax.cli.output import FAILED, INTERRUPTED, Json, Output, Plot, complain, drawable, show, strong
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import amount
-from gradcal_jax.tables.table import Table
+from gradcal_jax.tables.table import Cell, Table
 
 if TYPE_CHECKING:
     import xarray
-
-_VERDICTS: Final = ("met", "missed", "unobservable")
 
 
 def sweep(
@@ -35,7 +19,6 @@ def sweep(
     *,
     output: Output,
     workers: int | None = None,
-    scheduler: str | None = None,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -53,8 +36,6 @@ def sweep(
         The results to write (.nc).
     workers
         Number of worker processes on this computer; by default the number of its cores.
-    scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; by default the cores of this computer are used.
     json
         Print the summary as JSON.
     plot
@@ -70,74 +51,48 @@ def sweep(
 
     with MovingLine(sys.stderr) as line:
 
-        def show(done: int, total: int) -> None:
+        def progress(done: int, total: int) -> None:
             line.show(f"{done} of {total} points", done / total, number=10 * done // total)
 
-        pool = room.local_workers(workers) if scheduler is None else room.cluster_workers(scheduler)
         try:
-            with pool as executors:
-                results = room.sweep(job, output, workers=executors, most=workers, progress=show)
+            with room.local_workers(workers) as executors:
+                results = room.sweep(job, output, workers=executors, most=workers, progress=progress)
         except room.SweepIncomplete as error:
             complain(str(error))
             return FAILED
         except KeyboardInterrupt:
             complain(f"interrupted; finished points are in {output}.parts, and the same command continues from there")
             return INTERRUPTED
-    summary = summary_of(results)
-    if json:
-        print(as_json({"output": str(output), **summary}))
-    else:
-        print(strong(job.file.title or str(output)))
-        print(sweep_text(summary))
-        print(f"results: {output}")
-    save_figure(lambda plots: plots.draw_sweep(results), plot, quiet=json)
-    return NOT_AS_WISHED if summary["failed"] else DONE
-
-
-def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
-    """Numbers of points, and for each requirement's own statistic its range and the place of its minimum."""
+    table = summary_of(results)
     failures = [str(reason) for reason in results["failure"].values.ravel() if reason]
-    reasons = Counter(failures).most_common(1)
-    decisive = [name for name, variable in results.data_vars.items() if variable.attrs.get("decisive") == "yes"]
-    return {
-        "points": int(results["failure"].size),
-        "failed": len(failures),
-        "commonest_reason": reasons[0][0] if reasons else None,
-        "requirements": [_summary_of_one(results, str(name)) for name in decisive],
-    }
+    lines = [strong(job.file.title or str(output)), f"{results['failure'].size} points, {len(failures)} of them failed"]
+    lines += [f"the most frequent reason: {Counter(failures).most_common(1)[0][0]}"] if failures else []
+    lines += ["", table.text(), f"results: {output}"]
+    if plot is not None:
+        from gradcal_jax.plots import draw_sweep, save
+
+        save(draw_sweep(results), plot)
+        lines.append(f"wrote {plot}")
+    record = {"output": str(output), "points": int(results["failure"].size), "failures": failures}
+    record["requirements"] = table.json()
+    return show("\n".join(lines), record, json=json, wished=not failures)
 
 
-def _summary_of_one(results: "xarray.Dataset", name: str) -> dict[str, Any]:
+def summary_of(results: "xarray.Dataset") -> Table:
+    """For each requirement's own statistic the range of its values, how many meet the target, and the place of the
+    least."""
     import numpy as np
 
-    variable = results[name]
-    values = variable.values
-    about = variable.attrs
-    row: dict[str, Any] = {"name": about["requirement"], "statistic": about["statistic"], "variable": name}
-    row["unit"] = about["units"]
-    if np.isfinite(values).any():
-        best = np.unravel_index(int(np.nanargmin(values)), values.shape)
-        at = dict(zip(map(str, variable.dims), best, strict=True))
-        places = {str(axis): results[axis].values[at[str(results[axis].dims[0])]] for axis in results.coords}
-        row["least"] = float(values[best])
-        row["median"] = float(np.nanmedian(values))
-        row["most"] = float(np.nanmax(values))
-        row["least_at"] = {a: float(v) if isinstance(v, np.floating) else str(v) for a, v in places.items()}
-    verdicts = results[about["verdict"]].values
-    return row | {word: int(np.count_nonzero(verdicts == word)) for word in _VERDICTS}
-
-
-def sweep_text(summary: dict[str, Any]) -> str:
-    """The summary of a sweep as text."""
-    lines = [f"{summary['points']} points, {summary['failed']} of them failed"]
-    if summary["failed"]:
-        lines.append(f"the most frequent reason: {summary['commonest_reason']}")
-    rows: list[tuple[str, ...]] = []
-    for row in summary["requirements"]:
-        if "least" in row:
-            verdicts = " / ".join(str(row[word]) for word in _VERDICTS)
-            values = [amount(row[key], row["unit"]) for key in ("least", "median", "most")]
-            where = [f"{a} {v:.6g}" if isinstance(v, float) else f"{a} {v}" for a, v in row["least_at"].items()]
-            rows.append((f"{row['name']}, {row['statistic']}", *values, verdicts, ", ".join(where)))
-    heads = ["residual (1σ)", "least", "median", "most", " / ".join(_VERDICTS), "least at"]
-    return "\n".join([*lines, "", Table.of(heads, rows).text()])
+    rows: list[tuple[Cell, ...]] = []
+    for variable in results.data_vars.values():
+        values, about = variable.values, variable.attrs
+        if about.get("decisive") == "yes" and np.isfinite(values).any():
+            best = np.unravel_index(int(np.nanargmin(values)), values.shape)
+            at = dict(zip(variable.dims, best, strict=True))
+            places = {axis: results[axis].values[at[results[axis].dims[0]]] for axis in results.coords}
+            where = [f"{axis} {v:.6g}" if isinstance(v, np.floating) else f"{axis} {v}" for axis, v in places.items()]
+            sizes = (float(of(values)) for of in (np.nanmin, np.nanmedian, np.nanmax))
+            met = int(np.count_nonzero(results[about["verdict"]].values == "met"))
+            name = f"{about['requirement']}, {about['statistic']}"
+            rows.append((name, *sizes, str(about["units"]), met, ", ".join(where)))
+    return Table.of(["residual (1σ)", "least", "median", "most", "unit", "met", "least at"], rows)

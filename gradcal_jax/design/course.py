@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.motion import Programme
-from gradcal_jax.recipe.rounding import ControllerSteps
+from gradcal_jax.recipe.tracks import ControllerSteps
 
 # Least duration of a stretch, as a share of an even one; distance of a vector's values from their bounds, as a share.
 _LEAST_SHARE = 0.1

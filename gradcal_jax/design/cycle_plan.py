@@ -16,10 +16,9 @@ from gradcal_jax.design.slots import EMPTY, Cycle, CycleCoordinates, SlotTurn, S
 from gradcal_jax.design.visits import VisitTimes, cycle_in_visits, rest_spacing, shortest_rest
 from gradcal_jax.model import OwnTerm
 from gradcal_jax.model.build import waves_of
-from gradcal_jax.recipe.rounding import steps_of
-from gradcal_jax.recipe.tracks import makeable_acceleration
+from gradcal_jax.recipe.tracks import makeable_acceleration, steps_of
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.motion_plan import MotionPlan
+from gradcal_jax.spec.plan import MotionPlan
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import Problem, SpecError

@@ -1,10 +1,7 @@
-"""`optimise`: the best plan for a spec. `frontier`: the best plan for each of several durations."""
+"""`optimise`: the best plan for a spec."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from typing import Final, NamedTuple
-
-import numpy as np
+from collections.abc import Callable, Iterator
 
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.pose_search import PoseSearch
@@ -13,7 +10,6 @@ from gradcal_jax.design.visits import motion_time, visit_choices, with_motion
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.display import summary
 
 _LOG = logging.getLogger(__name__)
 
@@ -60,22 +56,19 @@ def run_search(
     steps: int | None = None,
     quick: bool = False,
     until_met: bool = False,
-    motion: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
     """The search of `optimise`: a `SearchStep` every few iterations and the `Optimised` plan at the end.
 
-    `motion` s: time without soaks, in the place of [design]'s or the plan's. `stop`: called after every step; once
-    true, the best plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be
-    observed, the table is turned by hand or, with `until_met`, there is no target.
+    `stop`: called after every step; once true, the best plan so far is finished. Errors: `ValueError` when limits
+    exclude each other, nothing can be observed, the table is turned by hand or, with `until_met`, there is no target.
     """
     spec = expect_spec(spec)
     stands, design = not spec.gradient_schedule.steps, spec.design or Design()
     if spec.rig.table.drive == "hand" and not stands:
         raise ValueError(BY_HAND)
-    if motion is None and (design.max_motion or design.max_total):
-        motion = motion_time(spec, design)
-    timed = spec if motion is None else with_motion(spec, motion)
+    limited = design.max_motion or design.max_total
+    timed = with_motion(spec, motion_time(spec, design)) if limited else spec
     visited = spec.turns_one_gyro and not stands
     plans = [CyclePlan(timed, times) for times in visit_choices(timed, design)] if visited else [CyclePlan(timed)]
     yield from search_plans(PoseSearch(plans, steps, stop, quick=quick), until_met=until_met)
@@ -92,72 +85,3 @@ def belief_of(spec: Spec) -> str:
         f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
         "spec; if the spec states a discrepancy, the plan is robust against deviations from this structure"
     )
-
-
-# --- plans of several durations ---------------------------------------------------------------------------------------
-
-_BLIND: Final = (
-    "in every plan found for this duration, some requirements are not observable: increase moves in [design]"
-)
-
-
-class FrontierPoint(NamedTuple):
-    """A ramp of `motion` s, without soaks, with its best plan, or the `reason` why there is none."""
-
-    motion: float
-    plan: Optimised | None
-    reason: str
-
-    __repr__ = summary
-
-
-def frontier_points(
-    spec: Spec,
-    times: list[float],
-    *,
-    steps: int | None = None,
-    watch: Callable[[float, SearchStep], None] = lambda _, __: None,
-) -> Iterator[FrontierPoint]:
-    """Optimise for each of `times` (s, without soaks); `watch` is called at every step. Errors: as `optimise`."""
-    for time in times:
-        try:
-            for event in run_search(spec, steps=steps, motion=time):
-                if isinstance(event, Optimised):
-                    yield (
-                        FrontierPoint(time, event, event.sentence)
-                        if np.isfinite(event.now)
-                        else FrontierPoint(time, None, _BLIND)
-                    )
-                else:
-                    watch(time, event)
-        except ValueError as error:
-            if len(times) == 1:
-                raise
-            yield FrontierPoint(time, None, str(error))
-
-
-def shortest(points: list[FrontierPoint], target: float) -> float | None:
-    """The motion time (s) at which the frontier crosses `target`, between its points; None where it does not.
-
-    Between points the logarithm of the residual is taken as linear in that of the time.
-    """
-    known = sorted((p.motion, p.plan.now) for p in points if p.plan is not None and np.isfinite(p.plan.now))
-    # A longer plan can do what a shorter one does and then wait, so the frontier never rises.
-    best = np.minimum.accumulate([value for _, value in known]) if known else np.array([])
-    for k in range(len(known)):
-        if best[k] <= target:
-            if k == 0 or best[k] == best[k - 1]:
-                return known[k][0]
-            (early, late), (high, low) = np.log([known[k - 1][0], known[k][0]]), np.log([best[k - 1], best[k]])
-            return float(np.exp(early + (late - early) * (high - np.log(target)) / (high - low)))
-    return None
-
-
-def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int | None = None) -> list[FrontierPoint]:
-    """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
-
-    Each `api.optimise.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
-
-    Errors: as `optimise`, where no duration has a plan and only one was asked for.
-    """
-    return list(frontier_points(spec, list(motion_s), steps=steps))

@@ -36,9 +36,8 @@ from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomia
 from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.requirement import Requirement
-from gradcal_jax.spec.schedule import Stretch
+from gradcal_jax.spec.schedule import PlanSchedule, Stretch
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary

@@ -29,7 +29,7 @@ from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.motion import Programme, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.motion.motion import rest, turn
 from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
-from gradcal_jax.spec.motion_plan import PlanSchedule
+from gradcal_jax.spec.schedule import PlanSchedule
 
 # Numbers of quadrature nodes.
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
@@ -208,8 +208,8 @@ class PlanValue:
         _, example, kind = np.unique(place, axis=1, return_index=True, return_inverse=True)
         kind, nodes = np.reshape(kind, -1), self._nodes(built, turns[example], line.pieces.varying[example])
         table, start = jax.tree.map(jnp.asarray, geometry(spec.rig)), np.asarray(self.coordinates.limits.start)
-        before, others = (course_before(spec), model.others) if model.knows_path else (None, ())
-        motion = TableMotion(track, axis, mounting, table, start, kind, example, nodes, before, others)
+        before = course_before(spec) if model.knows_path else None
+        motion = TableMotion(track, axis, mounting, table, start, kind, example, nodes, before)
 
         known = replace(motion, line=line.trajectory(None), axis=np.where(turns, 0, -1))
         at = segments_of(known, model)

@@ -6,11 +6,12 @@ import gradcal_jax
 from gradcal_jax.design.searching import Optimised, record_of
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.information.verdicts import versions_of
-from gradcal_jax.recipe.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
-from gradcal_jax.recipe.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.recipe.recipe import FORMAT, Recipe, RecipeOrigin
+from gradcal_jax.recipe.rounding import rounded
+from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import Prediction
 
 _VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan of the spec"
@@ -24,25 +25,24 @@ def make_recipe(plan: Spec | Optimised, *, status: str = "") -> Recipe:
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    spec = expect_spec(getattr(plan, "spec", plan))
-    steps, executable = steps_of(spec), rounded(spec)
-    chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
+    executable = rounded(expect_spec(getattr(plan, "spec", plan)))
+    spec, fields = executable.spec, dict[str, Any]()
     made: dict[str, Any] = {"by": f"gradcal {gradcal_jax.__version__}", "versions": versions_of(_VERSIONS)}
-    # A file has no key for None, and defaults may change in another version.
-    given = {name: value for name in ControllerSteps.model_fields if (value := getattr(steps, name)) is not None}
-    fields: dict[str, Any] = {"title": spec.title, "notes": executable.notes, "rounded": executable.changes}
     if not isinstance(plan, Spec):
         status, fields["optimisation"] = status or plan.sentence, record_of(plan)
         made |= {} if spec.design is None else {"seed": spec.design.seed}
+    fields |= {"title": spec.title} if spec.title else {}
+    # A file has no key for None.
+    left_out = {"format", "title", "covariance", "omitted"}
+    prediction = predict(spec, limits=True).model_dump(exclude_none=True, exclude=left_out)
     return Recipe(
         format=FORMAT,
         status=status or NOT_OPTIMISED,
+        notes=executable.notes,
         made=RecipeOrigin.model_validate(made),
-        resolution=ControllerSteps(**given),
+        # Defaults may change in another version.
         stability=Stability(**{name: getattr(Stability(), name) for name in Stability.model_fields}),
-        chamber=chamber,
-        motion=motion,
-        prediction=Predicted.of(predict(executable.spec, limits=True)),
-        spec=executable.spec,
-        **{name: value for name, value in fields.items() if value},
+        prediction=Prediction.model_validate(prediction),
+        spec=spec,
+        **fields,
     )

@@ -19,7 +19,7 @@ from gradcal_jax.arrays import AnyArray, fixed
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import Passage, passage
 from gradcal_jax.model.build import BuiltImu
-from gradcal_jax.spec.motion_plan import PlanSchedule
+from gradcal_jax.spec.schedule import PlanSchedule
 
 # Cycles that are filtered reading by reading: the first, one within, the last.
 FILTERED = 3

@@ -11,12 +11,12 @@ import numpy as np
 
 from gradcal_jax.design.slots import EMPTY, LEAST_TURN, Cycle, SlotTurn, TableLimits, Visits
 from gradcal_jax.formulas import repetitions
-from gradcal_jax.recipe.rounding import steps_of
+from gradcal_jax.recipe.tracks import steps_of
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.motion_plan import MotionPlan, duration_of
 from gradcal_jax.spec.moves import ResolvedMove
-from gradcal_jax.spec.plan import RampItem
+from gradcal_jax.spec.plan import MotionPlan, RampItem
+from gradcal_jax.spec.schedule import duration_of
 from gradcal_jax.spec.spec_sections import Spec
 
 # A shorter time of other axes behind the last visit is none, s.

@@ -176,10 +176,9 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
             of_path: dict[str, Any] = {}
             if isinstance(term, Hysteresis):
                 of_path["width"] = Quantity.of(float(term.width), "K")
-            elif isinstance(term, ProductTerm) and term.signals in ((), own_input) and term.path_factors == 1:
-                of_path["second_thermometer"] = term.other is not None
             elif isinstance(term, OwnTerm):
-                of_path["own"] = True
+                by_slope = isinstance(term, ProductTerm) and term.signals in ((), own_input) and term.slopes == 1
+                of_path["own"] = not by_slope
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
                 if isinstance(term, OwnTerm) and name in term.nuisances:
                     continue

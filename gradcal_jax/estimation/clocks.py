@@ -61,7 +61,8 @@ def clock_fit(log: Log) -> ClockFit:
     """
     if log.host_time_s is None:
         raise LogError(
-            "the log has no host time to compare the sensor's clock with: --clock sensor uses the time stamps unchanged"
+            "the log has no host time to compare the sensor's clock with: sensor.clock in the spec, if it is "
+            '"sensor", uses the time stamps unchanged'
         )
     starts, stds = _lines(log)
     sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
@@ -184,7 +185,7 @@ def with_clock(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec,
         said.append(
             f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
             f"than {_APART:g} times the uncertainty of the sensor's clock; the "
-            f"{'computer' if clock == 'host' else 'sensor'}'s clock is used (--clock chooses)"
+            f"{'computer' if clock == 'host' else 'sensor'}'s clock is used (sensor.clock in the spec chooses)"
         )
     if doubted:
         said.append(

@@ -1,6 +1,5 @@
 """The nodes of an executed motion, on which the channels' terms are integrated: signals and temperatures of a log."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -51,14 +50,13 @@ def nodes_of_rows(
     temperature_c: np.ndarray,
     errors: AngleErrors,
     added: np.ndarray | None,
-    others: Mapping[str, np.ndarray],
 ) -> BodyNodes:
     """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
     `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
 
     `errors`: of the angle of every axis less that of its encoder. `added` `(P, 3)`: the mean specific force beyond
     gravity over every piece, m/s², in the frame of the innermost axis: away from the axes a move adds some hundredths
-    of g to gravity, and gyros are sensitive to it. `others`: other temperatures of the rows, by name.
+    of g to gravity, and gyros are sensitive to it.
     """
     motion, line = eqx.tree_at(lambda m: m.geometry, done.motion, geometry), done.motion.line
     before, after = motion.angles()
@@ -94,7 +92,6 @@ def nodes_of_rows(
             body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting),
             time=time - log.time_s[0],
             slope=change / np.maximum(ends[1] - ends[0], np.finfo(float).tiny),
-            others={name: np.interp(time, log.time_s, of) for name, of in others.items()} or None,
         )
         if added is None or count == 1:
             return found

@@ -139,7 +139,7 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
     if lagging and goes_one_way(temperature):
         sentences.append(
             "the temperature changes in one direction only, which hardly shows the lag of the dies behind the measured "
-            "temperature: the estimate assumes zero lag (or the lag stated with --lag), and the uncertainty includes "
+            "temperature: the estimate assumes zero lag, and the uncertainty includes "
             "the possible lag"
         )
     return sentences

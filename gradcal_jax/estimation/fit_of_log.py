@@ -93,11 +93,8 @@ def fit_of(built: BuiltImu, name: str, rows: ImuRows, options: Options, messages
 
 
 def _may_lag(built: BuiltImu) -> bool:
-    """Whether the spec leaves a lag of the maps to the data: it does not state that there is none, and no term of the
-    model has another temperature of its own."""
-    sensor, terms = built.spec.sensor, built.model.terms
-    others = any(getattr(t, "other", None) for t in terms)
-    return not (others or sensor.second_thermometer is not None or sensor.temperature_lag == 0.0)
+    """Whether the spec leaves a lag of the maps to the data: it does not state that there is none."""
+    return built.spec.sensor.temperature_lag != 0.0
 
 
 def _wander(spec: Spec) -> float:

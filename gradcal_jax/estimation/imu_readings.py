@@ -301,10 +301,7 @@ class ImuReadings(NamedTuple):
         self, geometry: Geometry, errors: AngleErrors = NO_ERRORS, parameters: np.ndarray | None = None
     ) -> BodyNodes:
         """The nodes on a table of this geometry, for sensors with the misalignments of `parameters`."""
-        others = self.log.others(self.model.others, self.temperature_c)
-        nodes = nodes_of_rows(
-            self.done, self.log, geometry, self.points, self.temperature_c, errors, self.added, others
-        )
+        nodes = nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, errors, self.added)
         return nodes if parameters is None else self.model.with_misalignments(nodes, parameters)
 
 

@@ -3,14 +3,11 @@
 Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.formulas import followed
-from gradcal_jax.model import SECOND, OtherTemperature
 from gradcal_jax.motion import Geometry, TableMotion, held
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
@@ -25,7 +22,7 @@ class ImuRows(NamedTuple):
     stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
     axes that stand there, if only for an instant. `worth`: the readings of the spec's noise that a row's are worth
     (None: one); `at_end`: whether they are of the row's end, not of an instant near it (None: they are not);
-    `table_rate`: the rate held by the table's only axis, rad/s. `second_c`: the second thermometer's temperatures.
+    `table_rate`: the rate held by the table's only axis, rad/s.
     """
 
     time_s: np.ndarray
@@ -40,22 +37,12 @@ class ImuRows(NamedTuple):
     worth: np.ndarray | None = None
     table_rate: np.ndarray | None = None
     at_end: np.ndarray | None = None
-    second_c: np.ndarray | None = None
 
     @property
     def stretch_starts(self) -> np.ndarray:
         """The rows at which the temperature may begin anew."""
         lost = np.flatnonzero(~self.usable & (np.diff(self.time_s, prepend=-np.inf) > 0.0))
         return np.union1d([0], lost)
-
-    def others(self, of: Sequence[OtherTemperature], temperature_c: np.ndarray) -> dict[str, np.ndarray]:
-        """Other temperatures (°C) of every row by name, beside `temperature_c`, that of the maps."""
-        return {
-            name: followed(temperature_c, self.time_s, self.stretch_starts, lag)
-            if name != SECOND or self.second_c is None
-            else self.second_c
-            for name, lag in of
-        }
 
 
 class ExecutedImu(NamedTuple):

@@ -141,7 +141,7 @@ def fit_with_lag(
         # What contradicts the model is something else, which a lag may resemble.
         return Lag(0.0), prompt, (
             f"a lag of the maps of {lag:.3g} s would reduce χ² from {before:.0f} to {after:.0f} of {degrees}, "
-            "but not explain it: zero lag is assumed; --lag states one",
+            "but not explain it: zero lag is assumed",
         )  # fmt: skip
     return Lag(lag, std), fit, ()
 

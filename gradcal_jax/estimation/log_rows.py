@@ -8,7 +8,6 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.estimation import ImuRows
 from gradcal_jax.estimation.clocks import Options, clock_fit, time_of, with_clock
-from gradcal_jax.model import SECOND
 from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.records.log import Log, LogError, ReadingKind
 from gradcal_jax.spec.absent import absent_lever_arm
@@ -193,12 +192,6 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options, message
         )
     rates[:, ~gyros] = np.nan
     temperature = bridged_temperature(log, number, options.temperature_c)
-    second = log.bridged_temperature(number, second=True)
-    if second is None and any(of.name == SECOND for of in built.model.others):
-        raise LogError(
-            'the spec has a term by "T2 - T", but the log has no second temperature (in a column map, the '
-            "key is second_temperature)"
-        )
     over = {"over_s": _UNCONTROLLED_S} if built.spec.rig.chamber.control == "none" else {}
     standing = _standing(built, log, number, usable, messages, has_gyros=bool(gyros.any()))
     rows = ImuRows(
@@ -211,7 +204,6 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options, message
         usable=usable,
         mounting=np.zeros(len(time), int) if log.mounting is None else log.mounting,
         at_a_stop=np.zeros(len(time), bool),
-        second_c=None if second is None else estimation.smoothed_temperature(time, second, **over),
     )
     if isinstance(built.spec.plan, StandardPlan):
         return rows._replace(table_rate=_table_rate(built, log))

@@ -16,6 +16,8 @@ class CrcOfRows:
     init     value before the first byte
     xorout   value by which the result is changed
     reflect  whether bytes and result are reflected
+
+    A CRC is linear: it is the exclusive or of what each byte at its place contributes, and of what `init` does.
     """
 
     def __init__(
@@ -23,29 +25,38 @@ class CrcOfRows:
     ) -> None:
         if reflect:
             poly, init = (int(f"{value:0{width}b}"[::-1], 2) for value in (poly, init))
-        self._init, self._xorout, self._reflect, self._zeros = init, np.int64(xorout), reflect, zeros
-        self._mask, self._top = np.int64(2**width - 1), np.int64(width - 8)
-        one, high = np.int64(1), np.int64(1 if reflect else 2 ** (width - 1))
-        register = np.arange(256, dtype=np.int64)
-        if not reflect:
-            register <<= self._top
+        self._xorout, self._reflect, self._mask, self._top = xorout, reflect, 2**width - 1, width - 8
+        high = 1 if reflect else 2 ** (width - 1)
+        register = np.arange(256) << (0 if reflect else self._top)
         for _ in range(8):
             carry = (register & high) != 0
-            register = register >> one if reflect else register << one & self._mask
-            register = np.where(carry, register ^ np.int64(poly), register)
+            register = register >> 1 if reflect else register << 1 & self._mask
+            register = np.where(carry, register ^ poly, register)
         # The register after one byte, from zero.
         self._after = register
+        self._last, self._init = register, np.array(init)
+        for _ in range(zeros):
+            self._last, self._init = self._shifted(self._last), self._shifted(self._init)
+        # By the length of rows: what each byte contributes `(length · 256,)`, and what `init` does.
+        self._parts: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
     def __call__(self, rows: NDArray[np.uint8]) -> NDArray[np.int64]:
         """`(n, length) -> (n,)`."""
-        register = np.full(len(rows), self._init, np.int64)
-        eight = np.int64(8)
-        for column in (*rows.T.astype(np.int64), *np.zeros((self._zeros, 1), np.int64)):
-            if self._reflect:
-                register = register >> eight ^ self._after[(register & np.int64(255)) ^ column]
-            else:
-                register = (register << eight & self._mask) ^ self._after[register >> self._top ^ column]
-        return register ^ self._xorout
+        length = rows.shape[1]
+        if length not in self._parts:
+            begun, parts = self._shifted(self._init), [self._last]
+            while len(parts) < length:
+                begun, parts = self._shifted(begun), [self._shifted(parts[0]), *parts]
+            self._parts[length] = np.concatenate(parts), begun ^ self._xorout
+        parts, begun = self._parts[length]
+        places: NDArray[np.int64] = rows.T + 256 * np.arange(length, dtype=np.int64)[:, None]
+        return np.bitwise_xor.reduce(parts.take(places), axis=0) ^ begun
+
+    def _shifted(self, register: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The register after a zero byte."""
+        if self._reflect:
+            return register >> 8 ^ self._after[register & 255]
+        return (register << 8 & self._mask) ^ self._after[register >> self._top]
 
 
 _MODBUS = CrcOfRows(16, 0x8005, 0xFFFF, reflect=True)

@@ -7,7 +7,7 @@ settings that it must have.
 
 from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
-from typing import Annotated, Any, Final, Literal, cast, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -35,7 +35,7 @@ def _unit_of(dimension: str) -> Callable[[str], str]:
     return check
 
 
-TextList = Annotated[tuple[q.AnyText, ...], BeforeValidator(listed), Field(max_length=8)]
+TextList = Annotated[tuple[q.AnyText, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)]
 TemperatureUnit = Annotated[q.Text, AfterValidator(_unit_of("temperature"))]
 RampUnit = Annotated[q.Text, AfterValidator(_unit_of("temperature slope"))]
 AngleUnit = Annotated[q.Text, AfterValidator(_unit_of("angle"))]
@@ -90,7 +90,7 @@ class DeviceLimits(Section):
 
 class Condition(Section):
     """`[state.NAME]` or `[alarm.NAME]`: it holds if a field equals one of these texts, equals none of them, begins with
-    one of them, has a bit set, or is below a number."""
+    one of them, or has a bit set."""
 
     field: q.Text
     """Name of the field."""
@@ -102,23 +102,18 @@ class Condition(Section):
     """It holds if the field begins with one of these texts."""
     bit: q.Whole | None = None
     """It holds if this bit of the field, counted from 0, is set."""
-    below: q.Number | None = None
-    """It holds if the field is a number below this value."""
 
     def _problems(self) -> Iterator[Problem]:
-        tests = (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)
-        if sum(map(bool, tests)) != 1:
-            yield Problem((), "use exactly one of equals, not_equals, begins, bit and below")
+        if len(self.model_fields_set) != 2:
+            yield Problem((), "use exactly one of equals, not_equals, begins and bit")
 
     def holds(self, text: str) -> bool:
         """Whether it holds, by the device's reply. An invalid number raises `ValueError`."""
         if self.bit is not None:
             return bool(int(float(text)) >> self.bit & 1)
-        if self.below is not None:
-            return float(text) < self.below
         if self.not_equals:
             return text not in self.not_equals
-        return text in self.equals or (bool(self.begins) and text.startswith(self.begins))
+        return text in self.equals or text.startswith(self.begins)
 
 
 class RequiredSetting(Section):
@@ -130,6 +125,10 @@ class RequiredSetting(Section):
     """Texts that are allowed in the field."""
     why: q.Text
     """What goes wrong if the setting is different."""
+
+
+Commands = Mapping[str, Mapping[str, str]]
+"""The commands of each role, and the values that they may contain."""
 
 
 class DeviceDescription(Section):
@@ -150,27 +149,45 @@ class DeviceDescription(Section):
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
     """Settings that the device must have before the first command."""
 
+    commands: ClassVar[Commands]
+
     @property
     def fields(self) -> Mapping[str, Any]:
         """Every field that can be read."""
         return {}
 
-    def unknown(self, key: Key, *fields: object) -> Iterator[Problem]:
+    @property
+    def needed(self) -> str:
+        """The keys that it must have; for those of `ask` and `registers` a field."""
+        return ""
+
+    def unknown(self, key: Key, *fields: str) -> Iterator[Problem]:
         """Fields that no reply has."""
         for field in fields:
-            if isinstance(field, str) and field not in self.fields:
+            if field not in self.fields:
                 yield Problem(key, f"no reply has the field {{{field}}}; {instead(field, self.fields)}", field)
 
     def _problems(self) -> Iterator[Problem]:
-        for table, conditions in {"state": self.state, "alarm": self.alarm}.items():
-            for name, entry in conditions.items():
-                yield from self.unknown((table, name, "field"), entry.field)
-        for index, entry in enumerate(self.require):
-            yield from self.unknown(("require", index, "field"), entry.field)
+        conditions = {("state", name): entry for name, entry in self.state.items()}
+        conditions |= {("alarm", name): entry for name, entry in self.alarm.items()}
+        conditions |= {("require", index): entry for index, entry in enumerate(self.require)}
+        for place, entry in conditions.items():
+            yield from self.unknown((*place, "field"), entry.field)
+        described: Any = self
         for command, states in SHOWN_IN.items():
-            if command in getattr(self, "tell", ()) and not set(states) & set(self.state):
-                message = f"this key is missing: without this state, no reply shows the effect of tell.{command}"
-                yield Problem(("state", states[0]), message, kind="missing")
+            if command in described.tell and not set(states) & set(self.state):
+                yield missing(
+                    ("state", states[0]), f": without this state, no reply shows the effect of tell.{command}"
+                )
+        for key in self.needed.split():
+            table, name = key.split(".")
+            there = self.fields if table in ("ask", "registers") else dict(getattr(self, table))
+            if there.get(name) is None:
+                yield missing((table, name), f"; a {described.role} needs it")
+        known = self.commands[described.role]
+        for name in described.tell:
+            if name not in known:
+                yield Problem(("tell", name), f"is not a command of a {described.role}; {instead(name, known)}")
 
 
 class DescribedSensor(Section):
@@ -193,36 +210,30 @@ def missing(key: Key, message: str) -> Problem:
     return Problem(key, f"this key is missing{message}", kind="missing")
 
 
-def described(kind: type[Model], value: object, changes: object = None) -> Model:
+def described(kind: type[Model], value: str | Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Model:
     """The description of a rig file: the name of one of this program's, or its own tables; and what differs from it.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
     """
     (form,) = get_args(kind.model_fields["format"].annotation)
-    name, names = value if isinstance(value, str) else "", shipped(form)
-    if isinstance(value, Mapping):
-        tables = cast("Mapping[str, Any]", value)
-    elif name in names:
-        tables = read_toml(protocol_text(name), name)
-    else:
-        raise ValueError(f"expected the name of a protocol, or the tables of one; {instead(name, names)}")
-    return model_of(kind, changed_tables(tables, changes), form, name)
+    name, names = "", shipped(form)
+    if isinstance(value, str):
+        if value not in names:
+            raise ValueError(f"expected the name of a protocol, or the tables of one; {instead(value, names)}")
+        name, value = value, read_toml(protocol_text(value), value)
+    return model_of(kind, changed_tables(value, changes or {}), form, name)
 
 
-def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]:
+def changed_tables(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Tables with some keys changed, table by table; `false` in the place of a table removes it."""
-    if changes is None:
-        return dict(tables)
-    if not isinstance(changes, Mapping):
-        raise ValueError("changes must be a table, with the changed keys in the tables of the description")
     result = dict(tables)
-    for name, change in cast("Mapping[str, Any]", changes).items():
+    for name, change in changes.items():
         before = result.get(name)
         if change is False and not isinstance(before, bool):
             result.pop(name, None)
         elif isinstance(change, Mapping) and isinstance(before, Mapping):
-            result[name] = changed_tables(cast("Mapping[str, Any]", before), cast("object", change))
+            result[name] = changed_tables(before, change)  # pyright: ignore[reportUnknownArgumentType]
         else:
             result[name] = change
     return result
@@ -230,8 +241,8 @@ def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]
 
 def shipped(kind: str) -> tuple[str, ...]:
     """The names of the descriptions of a format that come with this program."""
-    names = (file.name for file in _DEVICES.iterdir() if file.name.endswith(".toml"))
-    return tuple(sorted(n.removesuffix(".toml") for n in names if f'"{kind}"' in (_DEVICES / n).read_text("utf-8")))
+    files = (file for file in _DEVICES.iterdir() if f'"{kind}"' in file.read_text("utf-8"))
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files))
 
 
 def protocol_text(name: str) -> str:

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -84,15 +85,14 @@ class Number(Section):
 
     def of(self, rows: NDArray[np.uint8], order: Order) -> NDArray[np.generic]:
         """`(n, length)` bytes -> `(n, numbers)`."""
+        end, kind, size = ">" if order == "big" else "<", self.type[0], int(self.type[1:]) // 8
         block = np.ascontiguousarray(rows[:, self.at : self.end])
-        if self.type[1:] == "24":
-            parts = block.reshape(-1, self.numbers, 3).astype(np.int32)
-            if order == "little":
-                parts = parts[..., ::-1]
-            value = parts[..., 0] << 16 | parts[..., 1] << 8 | parts[..., 2]
-            negative = (value >= 1 << 23) & (self.type == "i24")
-            return np.where(negative, value - (1 << 24), value)
-        return block.view(f"{'>' if order == 'big' else '<'}{self.type[0]}{int(self.type[1:]) // 8}")
+        if size != 3:
+            return block.view(f"{end}{kind}{size}")
+        wide = np.zeros((len(rows), self.numbers, 4), np.uint8)
+        first = 0 if order == "big" else 1
+        wide[..., first : first + 3] = block.reshape(-1, self.numbers, 3)
+        return wide.view(f"{end}{kind}4")[..., 0] >> 8
 
 
 class Stamp(Number):
@@ -111,7 +111,7 @@ class Stamp(Number):
 
 
 class FrameColumn(Number):
-    """`[gyro]`, `[acceleration]`, `[temperature]`, `[second_temperature]`."""
+    """`[gyro]`, `[acceleration]`, `[temperature]`."""
 
     counts: Annotated[float, Field(gt=0.0)] = 1.0
     """Counts of one unit: a value is the number divided by it."""
@@ -170,8 +170,6 @@ class FramedSensor(DescribedSensor):
     """Accelerations."""
     temperature: FrameTemperatures | None = None
     """Temperatures of the gyros."""
-    second_temperature: FrameTemperatures | None = None
-    """A second thermometer, or the temperatures of the accelerometers."""
     status: Status | None = None
     """Status of the sample."""
 
@@ -223,7 +221,8 @@ class FrameDecoder(SampleDecoder):
         self._sync = np.frombuffer(bytes.fromhex(unit.sync), np.uint8)
         poly, init, xorout = (int(text, 16) for text in (check.poly, check.init, check.xorout))
         self._crc = CrcOfRows(check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
-        self._buffer = np.empty(0, np.uint8)
+        self._sent = Number.model_validate({"at": check.at, "type": f"u{check.width}"})
+        self._buffer = b""
         self._arrived = np.empty(0)
         # A stream may begin with a unit that starts.
         self._starting = True
@@ -237,53 +236,53 @@ class FrameDecoder(SampleDecoder):
     def push(self, data: bytes, host_time_s: float | Floats) -> ImuBatch:
         """The samples; `host_time_s`: when the bytes were in hand, one time or that of each byte."""
         self._arrived = np.concatenate([self._arrived, np.broadcast_to(host_time_s, len(data))])
-        self._buffer = np.concatenate([self._buffer, np.frombuffer(data, np.uint8)])
-        starts, done = self._frames()
+        self._buffer += data
+        length = self._unit.length
+        done = len(self._buffer) // length * length
+        whole = np.frombuffer(self._buffer, np.uint8)
+        # Nearly always the bytes are sound frames without noise.
+        starts = np.arange(0, done, length)
+        if not self._sound(whole[:done].reshape(-1, length)).all():
+            starts, done = self._search(whole)
         batches: list[ImuBatch] = []
-        # Frames that follow each other without noise are decoded together.
-        place, length = 0, self._unit.length
+        place = 0
         for run in np.split(starts, np.flatnonzero(np.diff(starts) != length) + 1):
             if len(run):
                 self._noise(int(run[0]) - place)
                 place = int(run[-1]) + length
-                batches.append(
-                    self._decode(self._buffer[run[0] : place].reshape(-1, length), self._arrived[run + length - 1])
-                )
+                rows = whole[run[0] : place].reshape(-1, length)
+                batches.append(self._decode(rows, self._arrived[run + length - 1]))
         self._noise(done - place)
         self._buffer, self._arrived = self._buffer[done:], self._arrived[done:]
         return join(batches)
 
-    def _frames(self) -> tuple[NDArray[np.int64], int]:
-        """Where the sound frames of the buffer begin, and where the bytes begin that more bytes may make a frame."""
-        data, sync, length = self._buffer, self._sync, self._unit.length
-        padded = np.concatenate([data, np.zeros(len(sync), np.uint8)])
-        places = np.arange(len(data))
-        begins = np.ones(len(data), np.bool_)
-        for offset, byte in enumerate(sync):
-            begins &= (padded[offset : offset + len(data)] == byte) | (places + offset >= len(data))
-        candidates = np.flatnonzero(begins)
-        whole = candidates[candidates + length <= len(data)]
+    def _search(self, data: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
+        """Where the sound frames begin, and where the bytes begin that more bytes may make a frame."""
+        length, sync = self._unit.length, self._sync
+        windows = sliding_window_view(data, length)
+        begins = np.flatnonzero((windows[:, : len(sync)] == sync).all(axis=1))
         starts: list[int] = []
         end = 0
-        for block in range(0, len(whole), _BLOCK):
-            some = whole[block : block + _BLOCK]
-            for start in some[self._sound(data[some[:, None] + np.arange(length)])].tolist():
+        for block in range(0, len(begins), _BLOCK):
+            some = begins[block : block + _BLOCK]
+            for start in some[self._sound(windows[some])].tolist():
                 if start >= end:
                     starts.append(start)
                     end = start + length
-        waiting = candidates[(candidates + length > len(data)) & (candidates >= end)]
-        return np.array(starts, np.int64), int(waiting[0]) if len(waiting) else len(data)
+        rest = range(max(end, len(data) - length + 1), len(data))
+        waiting = (at for at in rest if bytes(sync).startswith(bytes(data[at : at + len(sync)])))
+        return np.array(starts, np.int64), next(waiting, len(data))
 
     def _sound(self, rows: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """`(n, length) -> (n,)`: whether the checksum of a frame is right."""
+        """`(n, length) -> (n,)`: whether the sync bytes and the checksum of a frame are right."""
         check = self._unit.check
         covered = rows[:, check.start : check.at]
         if check.kind == "fletcher":
-            first = np.cumsum(covered, axis=1, dtype=np.uint8)
-            second = first.sum(axis=1, dtype=np.uint8)
-            return (rows[:, check.at] == first[:, -1]) & (rows[:, check.at + 1] == second)
-        sent = np.ascontiguousarray(rows[:, check.at : check.at + check.width // 8])
-        return self._crc(covered) == sent.view(f"{'>' if check.order == 'big' else '<'}u{check.width // 8}")[:, 0]
+            sums = np.cumsum(covered, axis=1, dtype=np.uint8)
+            right = (rows[:, check.at] == sums[:, -1]) & (rows[:, check.at + 1] == sums.sum(axis=1, dtype=np.uint8))
+        else:
+            right = self._crc(covered) == self._sent.of(rows, check.order)[:, 0]
+        return right & (rows[:, : len(self._sync)] == self._sync).all(axis=1)
 
     def _decode(self, rows: NDArray[np.uint8], host_time_s: Floats) -> ImuBatch:
         unit, count = self._unit, len(rows)

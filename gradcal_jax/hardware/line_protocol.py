@@ -4,15 +4,15 @@
 be read back is refused. The order and verification of commands are in the drivers (`hardware.drivers`).
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
-from gradcal_jax.hardware.description import DeviceDescription, TextList, listed, missing
+from gradcal_jax.hardware.description import Commands, DeviceDescription, TextList, listed, missing
 from gradcal_jax.hardware.templates import FIELD, VALUE
 from gradcal_jax.tables import quantity as q
-from gradcal_jax.tables.problems import Problem, instead
+from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
 
 LINES: Final = "gradcal-lines/1"
@@ -63,7 +63,7 @@ class LineQuestion(Section):
 
     send: Sent
     """Text of the question."""
-    reply: Annotated[TextList, Field(min_length=1)]
+    reply: TextList
     """The reply, with fields in braces; several entries: the lines of one reply, or alternative forms (see above)."""
     last: q.AnyText | None = None
     """The last line of a reply that has several lines."""
@@ -107,6 +107,15 @@ class Command(Section):
 class LineProtocol(DeviceDescription):
     """A complete description of a device that communicates by lines of text."""
 
+    commands: ClassVar[Commands] = {
+        "chamber": {"setpoint": "setpoint", "ramp": "ramp", "on": "", "off": "", "end_program": ""},
+        "axis": {
+            "home": "", "stop_homing": "", "stop": "", "on": "", "off": "",
+            "rate": "rate", "acceleration": "acceleration",
+            "move": "position rate acceleration", "spin": "rate acceleration velocity way",
+        },
+    }  # fmt: skip
+
     format: Literal["gradcal-lines/1"]
     """Name and version of this file format."""
     role: Literal["chamber", "axis"]
@@ -123,33 +132,26 @@ class LineProtocol(DeviceDescription):
         """Every field that can be read -> the question that it is in."""
         return {field: name for name, question in self.ask.items() for field in question.fields}
 
+    @property
+    def needed(self) -> str:
+        return _NEEDED[self.role] + " limits.free_ramp" * ("ramp" in self.tell)
+
     def _problems(self) -> Iterator[Problem]:
-        needed = _NEEDED[self.role] + " limits.free_ramp" * ("ramp" in self.tell)
-        for key in needed.split():
-            table, name = key.split(".")
-            there: Any = self.fields if table == "ask" else getattr(self, table)
-            if (getattr(there, name) is None) if table == "limits" else name not in there:
-                what = f" with the field {{{name}}}" if table == "ask" else ""
-                yield missing((table, name), f"; a {self.role} needs it{what}")
-        commands = _COMMANDS[self.role]
         for name, command in self.tell.items():
-            if name not in commands:
-                yield Problem(("tell", name), f"is not a command of a {self.role}; {instead(name, commands)}")
             for problem in self._of_command(name, command):
                 yield problem.under("tell", name)
 
     def _of_command(self, name: str, command: Command) -> Iterator[Problem]:
         """A command must be sent with values that it has, and a value that is set must be read back."""
-        known = _COMMANDS[self.role].get(name, "").split()
+        known = self.commands[self.role].get(name, "").split()
         written = {match.groups() for send in command.send for match in VALUE.finditer(send)}
         if wrong := {value for value, _ in written} - set(known):
             allowed = ", ".join(f"{{{value}}}" for value in known) or "none"
             message = f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; allowed: {allowed}"
             yield Problem(("send",), message)
         if (name == "setpoint" or command.shown_by) and len(written) != 1:
-            yield Problem(
-                ("send",), "expected one placeholder, with the same format everywhere, such as {setpoint:.1f}"
-            )
+            message = "expected one placeholder, with the same format everywhere, such as {setpoint:.1f}"
+            yield Problem(("send",), message)
         if name in ("ramp", "rate", "acceleration") and not command.shown_by:
             yield missing(("shown_by",), ": every value that is set must be read back by fields of replies")
         yield from self.unknown(("shown_by",), *command.shown_by)
@@ -160,11 +162,3 @@ _NEEDED: Final = {
     "axis": "ask.position state.moving limits.max_rate limits.max_acceleration limits.step "
     "tell.home tell.move tell.stop",
 }
-# Commands, and the values that they may contain.
-_COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
-    "chamber": {"setpoint": "setpoint", "ramp": "ramp", "on": "", "off": "", "end_program": ""},
-    "axis": {
-        "home": "", "stop_homing": "", "stop": "", "on": "", "off": "", "rate": "rate", "acceleration": "acceleration",
-        "move": "position rate acceleration", "spin": "rate acceleration velocity way",
-    },
-}  # fmt: skip

@@ -4,18 +4,17 @@ Every value that is written is read back, from its own register or from the one 
 commands and their verification are in the drivers (`hardware.drivers`).
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Final, Literal
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.hardware.description import DeviceDescription, missing
-from gradcal_jax.tables.problems import Problem, instead
+from gradcal_jax.hardware.description import Commands, DeviceDescription
+from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.tables.section import Section
 
 REGISTERS: Final = "gradcal-registers/1"
-_COMMANDS: Final = ("setpoint", "ramp", "on", "off", "no_ramp", "end_program")
 
 
 class ModbusLine(Section):
@@ -38,16 +37,15 @@ class ModbusLine(Section):
 
 
 class Register(Section):
-    """`[registers.NAME]`: a register of the device. A text occupies `count` registers, with one character in each."""
+    """`[registers.NAME]`: a register of the device, or two for a number of 32 bits."""
 
     address: Annotated[int, Field(strict=True, ge=0, le=65535)]
     """Number of the register in the message, counted from 0: what a manual calls 40001 or 4x0001 is 0."""
-    type: Literal["int16", "uint16", "int32", "uint32", "float32", "text"] = "int16"
-    """Type of the number or text in the register."""
-    decimals: Annotated[int, Field(strict=True, ge=0, le=6)] | Text = 0
-    """Number n of decimals (the register has the value times 10ⁿ), or the name of the register that has this number."""
-    count: Annotated[int, Field(strict=True, ge=1, le=60)] = 1
-    """Number of registers that a text occupies."""
+    type: Literal["int16", "uint16", "int32", "uint32", "float32"] = "int16"
+    """Type of the number in the register."""
+    decimals: Annotated[int, Field(strict=True, ge=0, le=6)] = 0
+    """Number n of decimals: the register has the value times 10ⁿ. Where it can be changed at the device, `require` the
+    register that shows it."""
     input: Flag = False
     """Whether the register is an input register (function 4), which can only be read."""
     codes: dict[str, Text] = Field(default_factory=dict[str, str])
@@ -71,39 +69,37 @@ class RegisterProtocol(DeviceDescription):
     tell: dict[str, dict[str, int | float | Text]]
     """Commands, by name: the registers to write, and the values for them."""
 
+    commands: ClassVar[Commands] = {
+        "chamber": {"setpoint": "{setpoint}", "ramp": "{ramp}", "on": "", "off": "", "no_ramp": "", "end_program": ""}
+    }
+
     @property
     def fields(self) -> dict[str, Register]:
         """Every field that can be read: its register."""
         return self.registers
 
-    def _problems(self) -> Iterator[Problem]:
-        for table, name in (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint")):
-            if name not in getattr(self, table):
-                yield missing((table, name), "; a chamber needs it")
-        for name in ("lowest", "highest"):
-            if name not in self.registers and getattr(self.limits, name) is None:
-                yield missing(("limits", name), f"; give it, or describe a register {name}")
-        if ("on" in self.tell) is not ("off" in self.tell):
-            yield Problem(("tell",), "expected both commands, on and off, or neither")
-        if "ramp" in self.tell and "no_ramp" not in self.tell:
-            yield missing(("tell", "no_ramp"), ": it is the command that ends a ramp")
-        for name, entry in self.registers.items():
-            yield from self.unknown(("registers", name, "shown_in"), entry.shown_in)
-            yield from self.unknown(("registers", name, "decimals"), entry.decimals)
-        for name, writes in self.tell.items():
-            yield from self._of_command(name, writes)
+    @property
+    def needed(self) -> str:
+        needs = ["registers.air", "registers.setpoint", "tell.setpoint"]
+        needs += [f"limits.{end}" for end in ("lowest", "highest") if end not in self.registers]
+        needs += [f"tell.{_WITH[name]}" for name in self.tell if name in _WITH]
+        return " ".join(needs)
 
-    def _of_command(self, name: str, writes: Mapping[str, int | float | str]) -> Iterator[Problem]:
-        if name not in _COMMANDS:
-            yield Problem(("tell", name), f"is not a command of a chamber; {instead(name, _COMMANDS)}")
-        placeholder = f"{{{name}}}" if name in ("setpoint", "ramp") else ""
-        for register, value in writes.items():
-            key = ("tell", name, register)
-            yield from self.unknown(key, register)
-            entry = self.registers.get(register)
-            if entry is not None and (entry.input or entry.type == "text"):
-                yield Problem(key, "this register can only be read")
-            if isinstance(value, str) and value != placeholder:
-                yield Problem(key, f"expected a number{placeholder and f' or {placeholder}'}", value)
-        if placeholder and placeholder not in writes.values():
-            yield Problem(("tell", name), f"the command must write {placeholder} to a register")
+    def _problems(self) -> Iterator[Problem]:
+        for name, entry in self.registers.items():
+            yield from self.unknown(("registers", name, "shown_in"), entry.shown_in or name)
+        for name, writes in self.tell.items():
+            placeholder = self.commands["chamber"].get(name, "")
+            for register, value in writes.items():
+                key = ("tell", name, register)
+                yield from self.unknown(key, register)
+                if register in self.registers and self.registers[register].input:
+                    yield Problem(key, "this register can only be read")
+                if isinstance(value, str) and value != placeholder:
+                    yield Problem(key, f"expected a number{placeholder and f' or {placeholder}'}", value)
+            if placeholder and placeholder not in writes.values():
+                yield Problem(("tell", name), f"the command must write {placeholder} to a register")
+
+
+# Commands, and what takes back their effect.
+_WITH: Final = {"on": "off", "off": "on", "ramp": "no_ramp"}

@@ -251,7 +251,6 @@ class ImuBatch:
     gyro_dps        (n, 3) angular rate, deg/s
     acceleration_g  (n, 3) specific force, in g0 = 9.80665 m/s²
     temperature_c   (n, 3) of the gyro axes
-    second_c        (n,)   of a second thermometer, °C; of a unit that measures both, that of its accelerometers
     status          (n,)   status bits, 0 = good; the meaning is the driver's
     gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
     disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
@@ -267,7 +266,6 @@ class ImuBatch:
     gap_before: NDArray[np.int64]
     disturbed: NDArray[np.bool_]
     restarted: NDArray[np.bool_]
-    second_c: NDArray[np.float64]
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
@@ -285,7 +283,7 @@ def imu_batch(
     count = len(device_time_s)
     none: dict[str, Any] = {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
     none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
-    none["second_c"], host = np.full(count, np.nan), np.zeros(count) + host_time_s
+    host = np.zeros(count) + host_time_s
     return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
 
 

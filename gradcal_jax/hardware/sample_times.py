@@ -7,6 +7,7 @@ sample whose stamp is that of the one before came twice, and is left out.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -22,16 +23,21 @@ QUANTITIES: Final = {
     "gyro": ("deg/s", 1.0),
     "acceleration": ("mg", 1e-3),
     "temperature": ("degC", 1.0),
-    "second_temperature": ("degC", 1.0),
 }
 Stamped = Literal["count", "time", ""]
 
 
 def converted(quantity: str, values: Floats, unit: str) -> Floats:
     """Values of a quantity, from a description's unit to deg/s, g0 or degC."""
+    zero, step = _scale(quantity, unit)
+    return values * step + zero
+
+
+@cache
+def _scale(quantity: str, unit: str) -> tuple[float, float]:
     wanted, factor = QUANTITIES[quantity]
     zero = units.convert(0.0, unit, wanted) * factor
-    return values * (units.convert(1.0, unit, wanted) * factor - zero) + zero
+    return zero, units.convert(1.0, unit, wanted) * factor - zero
 
 
 class SampleDecoder:
@@ -79,7 +85,7 @@ class SampleDecoder:
         if count:
             self._newest = float(stamps[-1]), float(counts[-1])
         absent = np.full((len(stamps), 3), np.nan)
-        gyro, acceleration, temperature, second = (values.get(name, absent)[kept] for name in QUANTITIES)
+        gyro, acceleration, temperature = (values.get(name, absent)[kept] for name in QUANTITIES)
         more = {name: of[kept] for name, of in more.items()}
         more["restarted"] = restarted | more.get("restarted", False)
         return imu_batch(
@@ -88,7 +94,6 @@ class SampleDecoder:
             gyro,
             acceleration,
             temperature,
-            second_c=second.mean(axis=1),
             gap_before=np.maximum(np.rint(steps / self._step).astype(np.int64) - 1, 0),
             disturbed=disturbed[kept] & bool(self.round_samples),
             **more,

@@ -77,6 +77,9 @@ def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str
 
 
 def shows(sent: str, reply: str) -> bool:
-    """Whether a number that is read back equals the one sent, to half a step of the device's own decimals."""
+    """Whether a text that is read back is the one sent, or its number to half a step of the device's own decimals."""
     decimals = min(len(reply.partition(".")[2]), _FINEST_DECIMALS)
-    return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
+    try:
+        return sent == reply or abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
+    except ValueError:
+        return False

@@ -192,7 +192,7 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     names = _names(recipe, axes)
     blocks = {block.begins_with: block for block in recipe.motion}
     stretches: list[tuple[MotionBlock | None, list[ChamberSegment]]] = []
-    for segment in recipe.chamber.programme:
+    for segment in recipe.chamber:
         block = blocks.get(segment.name)
         if block is None and segment.used and stretches and stretches[-1][0] is not None:
             stretches[-1][1].append(segment)

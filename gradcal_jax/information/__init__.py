@@ -2,7 +2,7 @@
 
 * `noise_steps`, `imu_rows`: rows, columns and the noise system; `gears`: errors of a drive in them.
 * `whitening`: generalised least squares; `posterior`: square-root information.
-* `residual`, `imu_residual`, `missions`: what a requirement asks for, as a function of the covariance; `verdicts`.
+* `residual`, `imu_residual`: what a requirement asks for, as a function of the covariance; `verdicts`.
 * `unseen`: what no residual shows; `figures`, `error_budget`: shares of errors; `plan_sentences`: what a plan lacks.
 * `prediction`, `differentiable`, `sensitivity`: the functions that people call.
 """

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information import Posterior
-from gradcal_jax.information.missions import mission_row
 from gradcal_jax.information.residual import GridElement, Residual, Statistic, grid_element, map_rows, statistic
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, ChannelKind, GradientOfBias, ImuModel, OwnTerm
@@ -17,7 +16,6 @@ from gradcal_jax.spec.requirement import (
     GyroBiasRequirement,
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
-    MissionHeadingRequirement,
     Requirement,
 )
 from gradcal_jax.units import DEG_PER_H, PPM, G
@@ -53,7 +51,7 @@ _TERMS = {
 
 class ImuResidual(NamedTuple):
     """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
-    on its temperatures (°C; for missions their numbers) and, for the scale factor, rates (rad/s). `si`: how many of the
+    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the
     unit are one in SI."""
 
     requirement: Requirement
@@ -113,9 +111,7 @@ class RequiredQuantity(NamedTuple):
 
 
 def box(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid; for missions their indices."""
-    if isinstance(requirement, MissionHeadingRequirement):
-        return np.arange(float(len(requirement.mission))), np.zeros(1)
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid."""
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), requirement.grid[0])
     if not isinstance(requirement, GyroScaleFactorRequirement):
@@ -156,19 +152,11 @@ def _elements(
             if wanted in ("all", "worst") or wanted in label.split()[0]:
                 yield grid_element(model, label, rows)
         return
-    heading = isinstance(requirement, MissionHeadingRequirement)
-    kind, names, over = ("gyro", (BIAS,), "") if heading else _TERMS[requirement.quantity]
+    kind, names, over = _TERMS[requirement.quantity]
     grid = [of.ravel() for of in np.meshgrid(temperatures, rates, indexing="ij")]
     for c in model.channels:
         axis = AXIS_NAMES[c.axis]
         if c.kind != kind or wanted not in ("all", "worst", axis):
-            continue
-        if isinstance(requirement, MissionHeadingRequirement):
-            rows = np.zeros((len(requirement.mission), model.size))
-            for row, mission in zip(rows, requirement.mission, strict=True):
-                time, rate, temperature = map(np.array, mission.rows)
-                row[model.where(c.kind, c.axis)] = mission_row(c, time, rate, temperature)
-            yield grid_element(model, axis, rows)
             continue
         for k, name in enumerate(names):
             if over == "others" and k == c.axis:

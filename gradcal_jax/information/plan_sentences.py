@@ -12,7 +12,7 @@ from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, ImuModel, Own
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.motion import frames
 from gradcal_jax.spec.absent import minutes_of_change
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
+from gradcal_jax.spec.requirement import GyroScaleFactorRequirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -196,7 +196,7 @@ def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
     sentences: list[str] = []
     gyros = [c.axis for c in built.model.channels if c.kind == "gyro"]
     for r in built.spec.requirement:
-        if not isinstance(r, GyroScaleFactorRequirement | MissionHeadingRequirement):
+        if not isinstance(r, GyroScaleFactorRequirement):
             continue
         widest = max(abs(float(rate)) for rate in r.rate)
         slow = [k for k in gyros if r.axis in ("all", "worst", AXIS_NAMES[k]) and widest > fastest[k] * (1.0 + _NEARLY)]

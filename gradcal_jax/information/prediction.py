@@ -16,13 +16,12 @@ from gradcal_jax.information.verdicts import (
     finite,
     limit_of,
     run_of,
-    specific_risk,
     target_of,
     verdict_of,
 )
 from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike, imu_posterior
 from gradcal_jax.spec.absent import absent_terms, with_typical
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
@@ -141,8 +140,6 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         more["another_run"] = judged.statistic()
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     rates = left.rates
-    if isinstance(requirement, MissionHeadingRequirement):
-        rates = np.array([float(rate) for rate in requirement.rate])
     axis, target, worst = judged.worst_axis(), target_of(requirement), judged.statistic("max")
     return RequirementRow(
         **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic", "axis", "coverage")},
@@ -155,7 +152,6 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         worst=worst,
         verdict=verdict_of(requirement, judged.finite_statistic),
         rule=decision_rule(requirement) or None,
-        specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if axis is None else f"axis {axis}",
     )

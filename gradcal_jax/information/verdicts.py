@@ -4,7 +4,6 @@ calibration files that all estimators write."""
 import platform
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from math import erfc, sqrt
 from typing import Final, Literal
 
 import numpy as np
@@ -13,11 +12,8 @@ from gradcal_jax.information.residual import Statistic
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
+PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
 UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
-    "scale_factor": ("ppm", PPM),
-    "bias": ("deg/h", DEG_PER_H),
-    "mission_heading": ("deg", float(np.degrees(1.0))),
     "gyro_bias": ("deg/h", DEG_PER_H),
     "gyro_scale_factor": ("ppm", PPM),
     "gyro_misalignment": ("urad", 1e6),
@@ -48,14 +44,6 @@ def decision_rule(requirement: Requirement) -> str:
         return ""
     of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
     return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
-
-
-def specific_risk(y: float, u: float, limit: float) -> float:
-    """Probability that an error with estimate `y` and standard uncertainty `u` lies beyond ±`limit` (JCGM 106, 7.2)."""
-    if u == 0.0:
-        return float(abs(y) > limit)
-    below, above = ((limit + sign * y) / (sqrt(2.0) * u) for sign in (1.0, -1.0))
-    return 0.5 * (erfc(below) + erfc(above))
 
 
 def verdict_of(

@@ -18,18 +18,15 @@ from gradcal_jax.model.installation import (
 )
 from gradcal_jax.model.nodes import (
     AXIS_NAMES,
-    SECOND,
     BodyGroup,
     BodyNodes,
     Nodes,
-    OtherTemperature,
     SharedNodes,
 )
 from gradcal_jax.model.noise import Processes, constant, gauss_markov, no_processes, rate_random_walk
 from gradcal_jax.model.path import Hysteresis
 from gradcal_jax.model.terms import (
     BIAS,
-    DIFFERENCE,
     DISCREPANCY,
     SCALE_FACTOR,
     SLOPE,

@@ -22,9 +22,7 @@ from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import (
     AXIS_NAMES,
     BIAS,
-    DIFFERENCE,
     SCALE_FACTOR,
-    SECOND,
     SLOPE,
     Basis,
     BodyNodes,
@@ -37,7 +35,6 @@ from gradcal_jax.model import (
     Hysteresis,
     ImuModel,
     Map,
-    OtherTemperature,
     OwnTerm,
     Polynomial,
     Processes,
@@ -50,12 +47,11 @@ from gradcal_jax.motion import Geometry, Move, Schedule, TableMotion
 from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.memory import too_large
-from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.places import specs_at_places
 from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.schedule import StandardSchedule
-from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor
+from gradcal_jax.spec.schedule import PlanSchedule, StandardSchedule
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.spec.temperature_path import GeneralTerm
 
@@ -117,7 +113,7 @@ def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
     degree = max(_degree(b) for b in bases)
     # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) and not isinstance(t, Hysteresis | ProductTerm) for t in model_.terms)
-    exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
+    exponential = spec.sensor.lag is not None or own
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
@@ -217,7 +213,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         processes, sources[kind] = _processes(spec, triad)
         white = np.asarray(float(getattr(triad, _WHITE[kind])))
         for axis in triad.axes:
-            terms = tuple(_terms(spec.sensor, triad, kind, axis))
+            terms = tuple(_terms(triad, kind, axis))
             channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis)))
     table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
     numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
@@ -264,7 +260,7 @@ def _processes(spec: Spec, triad: GyroTriad | AccelerometerTriad) -> tuple[Proce
     return total, sources
 
 
-def _terms(sensor: Sensor, triad: GyroTriad | AccelerometerTriad, kind: ChannelKind, axis: str) -> Iterator[Term]:
+def _terms(triad: GyroTriad | AccelerometerTriad, kind: ChannelKind, axis: str) -> Iterator[Term]:
     """The terms of a channel in the order of its parameters."""
     maps = [
         _map(triad, key, tuple(s.format(*of, own=axis) for s in signals), name.format(*of), symbol.format(*of), unit)
@@ -286,7 +282,7 @@ def _terms(sensor: Sensor, triad: GyroTriad | AccelerometerTriad, kind: ChannelK
         called = name.format(f"{float(width):g}")
         yield Hysteresis(std=prior, name=called, si_unit=si_unit, signals=signals, width=width)
     for one in triad.term:
-        yield _general_term(sensor, one, unit, own)
+        yield _general_term(one, unit, own)
     yield from (m.beyond for m in maps if m.beyond is not None)
 
 
@@ -325,20 +321,16 @@ def _rotation_terms(gyro: GyroTriad) -> Iterator[ProductTerm]:
         yield ProductTerm(std=np.asarray(std), name=f"ww_{''.join(of)}", si_unit="s", signals=signals)
 
 
-def _general_term(sensor: Sensor, one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
+def _general_term(one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
     """A `[[term]]` of a channel with the unit `of_bias` of its bias and the input `own`."""
     of_scale, unit = one.target == "scale_factor", one.si_unit(of_bias)
     std = np.asarray(one.prior_in_si(of_bias))
     if one.class_name is not None:
         return term_of_class(one.class_name, float(std), one.name, unit)
-    signals = tuple(factor for factor in one.factors if factor not in (SLOPE, DIFFERENCE))
-    other = None
-    if DIFFERENCE in one.factors:
-        assert sensor.second_thermometer is not None
-        other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
+    signals = tuple(factor for factor in one.factors if factor != SLOPE)
     every = ((own,) if of_scale else ()) + signals
     slopes = one.factors.count(SLOPE)
-    return ProductTerm(std=std, name=one.name, si_unit=unit, signals=every, slopes=slopes, other=other)
+    return ProductTerm(std=std, name=one.name, si_unit=unit, signals=every, slopes=slopes)
 
 
 def basis(section) -> Basis:
@@ -406,8 +398,7 @@ def _motion(spec: Spec, of: ImuModel) -> TableMotion:
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
-    division = _divisions_by_decay(line, max(decays, default=0.0))
+    division = _divisions_by_decay(line, 0.0 if spec.sensor.lag is None else float(line.lag_rate))
     if len(division[0]):
         line, source = line.divided(*division)
         axis, mounting = axis[source], mounting[source]
@@ -418,21 +409,16 @@ def _motion(spec: Spec, of: ImuModel) -> TableMotion:
     if not of.knows_path:
         return smooth
     widths = tuple(sorted({float(term.width) for term in of.terms if isinstance(term, Hysteresis)}))
-    on_path = replace(smooth, history=course_before(spec), others=of.others)
+    on_path = replace(smooth, history=course_before(spec))
     return trajectory.motion_divided_by_plays(on_path, widths, *fine)
-
-
-def _decays(of: ImuModel) -> list[float]:
-    """The rates (1/s) at which exponentials in a model's columns decay."""
-    return [1.0 / other.lag for other in of.others if other.lag]
 
 
 def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
     """What divides the motion of a plan into pieces, and the nodes of these, for other error terms than it was built
     for."""
     path = [term for term in of.terms if isinstance(term, OwnTerm)]
-    times = of.others, [(type(term), term.name) for term in path]
-    return spec.sensor.lag, times, _breaks(of), fineness(spec, of, built.motion.line)
+    names = [(type(term), term.name) for term in path]
+    return spec.sensor.lag, names, _breaks(of), fineness(spec, of, built.motion.line)
 
 
 def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:

@@ -25,14 +25,13 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis
 from gradcal_jax.model.installation import InstallationTerm
-from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes, OtherTemperature
+from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes
 from gradcal_jax.model.noise import Processes
 from gradcal_jax.model.terms import (
     Discrepancy,
     GradientOfBias,
     Map,
     OwnTerm,
-    ProductTerm,
     Term,
     block_diagonal,
 )
@@ -170,13 +169,7 @@ class ImuModel(PytreeModule):
     @property
     def knows_path(self) -> bool:
         """Whether any term depends on the path of temperature."""
-        return bool(self.others) or any(isinstance(term, OwnTerm) and term.of_path for term in self.terms)
-
-    @property
-    def others(self) -> tuple[OtherTemperature, ...]:
-        """The temperatures beside that of the sensor on which its terms depend."""
-        other = {term.other for term in self.terms if isinstance(term, ProductTerm)}
-        return tuple(sorted(of for of in other if of is not None))
+        return any(isinstance(term, OwnTerm) and term.of_path for term in self.terms)
 
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""

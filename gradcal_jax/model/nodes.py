@@ -5,7 +5,7 @@ integrates on Gauss–Legendre nodes of smooth motion, a log on its samples; the
 of both.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,25 +13,12 @@ from jaxtyping import Float, Int
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed, put
 
 
-class OtherTemperature(NamedTuple):
-    """A temperature beside that of the maps, such as that of the second thermometer: in a plan a first-order lag of it,
-    of `lag` s."""
-
-    name: str
-    lag: float
-
-
-SECOND: Final = "second"
-"""Name of the second thermometer."""
-
-
 class SharedNodes(NamedTuple):
     """Nodes of `k` pieces of `U` kinds: pieces of one kind share their signals and differ in temperature.
 
     Temperature is smooth along a piece, so functions of it are interpolated from `m` points, and each signal of a kind
     has a weight at each point: `share` `(q, m)` are the interpolating polynomials of the points at the nodes. `time` s
-    and `slope` K/s: of each point, for terms of the path of temperature; `others` °C: other temperatures there, by name
-    (`OtherTemperature`).
+    and `slope` K/s: of each point, for terms of the path of temperature.
     """
 
     pieces: Int[AnyArray, " k"]
@@ -43,7 +30,6 @@ class SharedNodes(NamedTuple):
     share: Float[np.ndarray, "q m"]
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
-    others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
         """A signal by its name: "rate x" (rad/s), "force x" (m/s²), "earth x" (rad/s), "up x" and "north x" (components
@@ -95,8 +81,7 @@ class BodyGroup(PytreeModule):
     and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
     `trajectory.table_motion`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad)
     of each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `across`: what each
-    sensor senses by its misalignments, gyros first (rad/s, m/s²); None: nothing. `time`, `slope`, `others`: see
-    `SharedNodes`.
+    sensor senses by its misalignments, gyros first (rad/s, m/s²); None: nothing. `time`, `slope`: see `SharedNodes`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -119,7 +104,6 @@ class BodyGroup(PytreeModule):
     across: Float[AnyArray, "U q 6"] | None = None
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
-    others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     @property
     def moving(self) -> bool:
@@ -148,7 +132,7 @@ class BodyGroup(PytreeModule):
             signals[name] = signals[name] + self.across[..., index + 3 * (own == "force")]
         along = signals[name]
         at = self.pieces, self.kind, self.temperature, self.weight
-        return SharedNodes(*at, along, signals, self.share, self.time, self.slope, others=self.others)
+        return SharedNodes(*at, along, signals, self.share, self.time, self.slope)
 
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
         """`∫ … dt` over a piece of each kind."""

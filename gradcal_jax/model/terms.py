@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import Nodes, OtherTemperature, SharedNodes
+from gradcal_jax.model.nodes import Nodes, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
@@ -382,9 +382,7 @@ def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArr
 
 
 SLOPE: Final = "dT/dt"
-DIFFERENCE: Final = "T2 - T"
-"""Factors of an error term that are no signals: the temperature's rate, K/s, and what the second thermometer shows less
-the first, K."""
+"""Factor of an error term that is no signal: the temperature's rate, K/s."""
 ENTRY_POINTS: Final = "gradcal.terms"
 """Entry points by which other packages add terms: each names a module that defines them."""
 _KNOWN: dict[str, "type[OwnTerm]"] = {}
@@ -442,11 +440,9 @@ class OwnTerm(Term):
 
 
 class ProductTerm(OwnTerm):
-    """The product of `signals` such as "rate x", "force y" or "|force z|", of dT/dt (K/s) to the power `slopes`, and of
-    the difference of the temperature `other` from the sensor's."""
+    """The product of `signals` such as "rate x", "force y" or "|force z|", and of dT/dt (K/s) to the power `slopes`."""
 
     slopes: int = eqx.field(static=True, default=0)
-    other: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
     def of_own_input(self) -> bool:
@@ -454,25 +450,17 @@ class ProductTerm(OwnTerm):
 
     @property
     def of_path(self) -> bool:
-        return self.path_factors > 0
-
-    @property
-    def path_factors(self) -> int:
-        """The number of factors that depend on the path of temperature."""
-        return self.slopes + (self.other is not None)
+        return self.slopes > 0
 
     def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
         of_path = constant_function(nodes.temperature)
         if self.slopes:
             assert nodes.slope is not None
             of_path = of_path * nodes.slope[..., None] ** self.slopes
-        if self.other is not None:
-            assert nodes.others is not None
-            of_path = of_path * (nodes.others[self.other.name] - nodes.temperature)[..., None]
         return of_path, nodes.product(self.signals)
 
     def in_service(self, sign: float, slope: float) -> float:
-        return slope**self.slopes * (1.0 if self.other is None else -self.other.lag * slope)
+        return slope**self.slopes
 
 
 def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:

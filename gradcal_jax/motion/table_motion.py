@@ -16,13 +16,12 @@ the rate outside that stage: the Earth's plus that of the outer axes.
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
-from gradcal_jax.model import BodyGroup, BodyNodes, OtherTemperature
+from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.motion.gauss import EDGE, crossings, temperature_crossings, turning_points
 from gradcal_jax.motion.trajectory import Trajectory, quadrature
 
@@ -114,9 +113,8 @@ class TableMotion(PytreeModule):
 
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
     whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
-    points of the temperature before the motion, in order; `others`: temperatures beside that of the sensor, as first-
-    order lags of it. `divisions`: the divisions of the plan's line by which the pieces arose, in order
-    (`Trajectory.divided`).
+    points of the temperature before the motion, in order. `divisions`: the divisions of the plan's line by which the
+    pieces arose, in order (`Trajectory.divided`).
     """
 
     line: Trajectory
@@ -128,7 +126,6 @@ class TableMotion(PytreeModule):
     example: Int[np.ndarray, " K"]
     nodes: Int[np.ndarray, " K"]
     history: Float[AnyArray, " H"] | None = None
-    others: tuple[OtherTemperature, ...] = eqx.field(static=True, default=())
     divisions: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
     @once
@@ -265,8 +262,8 @@ def _divided(
     division = pieces[apart], at[apart]
     line, source = motion.line.divided(*division)
     of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
-    path = {"history": motion.history, "others": motion.others}
-    return replace(table_motion(line, *of_pieces, waves, least), **path, divisions=(*motion.divisions, division))
+    whole = table_motion(line, *of_pieces, waves, least)
+    return replace(whole, history=motion.history, divisions=(*motion.divisions, division))
 
 
 def motion_divided_by_plays(
@@ -369,10 +366,8 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     all_before, all_after = motion.angles()
     before, after = all_before[example], all_after[example]
     begin, end = motion.line.ends()
-    late = [(of, motion.line.behind(of.lag)) for of in motion.others]
     groups = tuple(
-        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before, late)
-        for n in np.unique(motion.nodes)
+        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before) for n in np.unique(motion.nodes)
     )
     axis, mounting = motion.axis[example], motion.mounting[example]
     axes = frames(motion.geometry, before, mounting).axes
@@ -380,7 +375,7 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting, *path)
 
 
-def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before, late) -> BodyGroup:
+def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
     line, geometry, xp = motion.line, motion.geometry, namespace(before, motion.line.duration, motion.geometry)
     example = motion.example[kinds]
     x, w = quadrature(count)
@@ -397,8 +392,7 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     share = of_points[None] if count == 1 else lagrange(at, x)
     weight = xp.asarray(w)[None] * line.duration[example][:, None]
     since = places * line.duration[pieces][:, None]
-    others = {of.name: line.lagging(places, of.lag, behind, pieces) for of, behind in late}
-    path = line.start[pieces][:, None] + since, line.temperature_slope(since, pieces), others or None
+    path = line.start[pieces][:, None] + since, line.temperature_slope(since, pieces)
     numbers = kinds, pieces, kind[pieces]
     return body_group(geometry, numbers, temperatures, share, weight, angle, joint, mounting, path)
 
@@ -412,12 +406,12 @@ def body_group(
     angle: Float[AnyArray, "U q L"],
     joint: Float[AnyArray, "U q L"],
     mounting: Int[AnyArray, "U q"],
-    path: tuple[Any, Any, Any] = (None, None, None),
+    path: tuple[Any, Any] = (None, None),
 ) -> BodyGroup:
     """A group of nodes at which the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
 
-    `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former; `path`: time, slope and
-    others. The rest: see `BodyGroup`.
+    `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former; `path`: time and
+    slope. The rest: see `BodyGroup`.
     """
     xp = namespace(geometry, angle, joint)
     stages = frames(geometry, angle, mounting)
@@ -426,9 +420,9 @@ def body_group(
     below = xp.cumsum(turning, axis=-2)
     rate, outer = earth + below[..., -1, :], earth[..., None, :] + below - turning
     seen = rate, geometry.gravity * up, earth, up, stages.attitude, stages.axes, stages.crosses
-    time, slope, others = path
+    time, slope = path
     seen = *seen, outer, joint, angle
-    return BodyGroup(*pieces, temperature, share, weight, *seen, time=time, slope=slope, others=others)
+    return BodyGroup(*pieces, temperature, share, weight, *seen, time=time, slope=slope)
 
 
 def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:

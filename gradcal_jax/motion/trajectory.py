@@ -23,7 +23,6 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, once, placed
-from gradcal_jax.formulas import follow_ramp, running_affine
 
 _EVERY_PIECE = slice(None)
 
@@ -90,25 +89,6 @@ class Trajectory(PytreeModule):
         if not self.lagged:
             return xp.broadcast_to(slope, since.shape)
         return slope - self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)
-
-    def behind(self, lag: float) -> Float[AnyArray, " P"]:
-        """How far (K) a first-order lag (s) of the temperature is behind it as each piece begins, after a long time at
-        one temperature."""
-        xp, (begin, end) = namespace(self.duration, self.level), self.ends()
-        ended = self.start + self.duration
-        # A lag is continuous where the temperature jumps, and goes on where there are no pieces.
-        keep, added = follow_ramp(self.duration, self.slope, self.excess, self.lag_rate, lag)
-        later = xp.exp((ended[:-1] - self.start[1:]) / lag)
-        keep, added = keep[:-1] * later, (added[:-1] + begin[1:] - end[:-1]) * later
-        _, added = running_affine(keep, added)
-        return xp.concatenate([xp.zeros(1), added])
-
-    def lagging(self, v: Float[AnyArray, "k q"], lag: float, behind: AnyArray, pieces: Any) -> Float[AnyArray, "k q"]:
-        """A first-order lag (s) of the temperature at fractions `v` of each of the `pieces`, where it is `behind`
-        `(P,)` K as each piece begins."""
-        since, slope, excess, first = (f[pieces][:, None] for f in (self.duration, self.slope, self.excess, behind))
-        keep, added = follow_ramp(v * since, slope, excess, self.lag_rate, lag)
-        return self.temperature(v, pieces) - (keep * first + added)
 
     def ends(self) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
         """Sensor temperature (°C) as each piece begins and ends."""

@@ -12,16 +12,11 @@ from matplotlib.figure import Figure
 
 from gradcal_jax import plots
 from gradcal_jax.calibration import Calibration
+from gradcal_jax.information.verdicts import target_of
 from gradcal_jax.pages.history import RunHistory
 from gradcal_jax.pages.residuals import ResidualLeft
-from gradcal_jax.plots.calibration_maps import (
-    draw_calibrated_scale_factor,
-    draw_calibrated_term,
-    draw_residuals,
-    panels_of,
-)
+from gradcal_jax.plots.calibration import panels_of
 from gradcal_jax.plots.residual import boxes_of
-from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec.spec_sections import Spec
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
@@ -44,14 +39,14 @@ class Picture(NamedTuple):
     svg: str
 
 
-def residual_pictures(found: list[ResidualLeft], targets: dict[str, float]) -> Iterator[Picture]:
+def residual_pictures(found: list[ResidualLeft]) -> Iterator[Picture]:
     """For each requirement its residuals as curves: of a single element at every stage in one picture, and as a map of
-    the last stage; of several elements a picture of each stage but the priors. `targets`: the limits on the standard
-    deviation, by requirement."""
+    the last stage; of several elements a picture of each stage but the priors."""
     for left in found:
         if not left.stages:
             continue
-        name, target = left.requirement.name, targets.get(left.requirement.name)
+        requirement, name = left.requirement, left.requirement.name
+        target = None if (limit := target_of(requirement)) is None else limit / requirement.coverage
         last, residual = list(left.stages.items())[-1]
         by_rate, single = len(residual.rates) > 1, len(residual.labels) == 1
         if single and by_rate:
@@ -72,23 +67,23 @@ def residual_pictures(found: list[ResidualLeft], targets: dict[str, float]) -> I
             )
 
 
-def plan_pictures(spec: Spec | None, recipe: Recipe | None, history: RunHistory | None) -> Iterator[Picture]:
-    """Poses, and the temperature as planned and as measured."""
-    if spec is not None and not spec.is_one_axis:
+def plan_pictures(spec: Spec) -> Iterator[Picture]:
+    """Poses, and the temperature as planned."""
+    if not spec.is_one_axis:
         words = "Direction of the vertical in the device's frame at every rest; the colour shows the time of the rest."
         yield picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), projection="mollweide")
-    measured = history is not None and len(history.chamber_s) > 0
-    if spec is None or (recipe is None and not measured):
-        return
+    words = "Planned temperature of the chamber, without waiting for stable temperatures."
+    yield picture("plan", words, lambda ax: plots.draw_temperature(spec, ax=ax))
 
-    def temperatures(ax: Axes) -> None:
-        plots.draw_temperature(spec, label="planned", ax=ax)
-        if history is not None and measured:
-            ax.plot(history.chamber_s / 3600.0, history.chamber_c, label="measured", **plots.style_of(1))
-        ax.legend()
 
-    yield picture("temperature", "Temperature of the chamber on the plan's clock, which stops while a step waits.",
-                  temperatures)  # fmt: skip
+def run_picture(history: RunHistory) -> Picture:
+    """The temperature as measured."""
+
+    def draw(ax: Axes) -> None:
+        ax.plot(history.chamber_s / 3600.0, history.chamber_c, **plots.style_of(0))
+        ax.set(xlabel="time, h", ylabel="chamber, °C")
+
+    return picture("measured", "Measured temperature of the chamber since the run began.", draw)
 
 
 def calibration_pictures(calibration: Calibration) -> Iterator[Picture]:
@@ -103,7 +98,7 @@ def calibration_pictures(calibration: Calibration) -> Iterator[Picture]:
         yield picture(
             f"scale factor {channel.name}",
             words,
-            lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax),
+            lambda ax, c=channel: plots.draw_calibrated_scale_factor(calibration, c, ax=ax),
         )
     for kind, name in panels_of(calibration):
         if name == "bias" or kind not in over_rate:
@@ -111,7 +106,7 @@ def calibration_pictures(calibration: Calibration) -> Iterator[Picture]:
             yield picture(
                 f"{kind} {name}",
                 words,
-                lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax),
+                lambda ax, k=kind, n=name: plots.draw_calibrated_term(calibration, k, n, ax=ax),
             )
     # Of six channels, those that a test contradicts.
     failed = {name.partition(":")[0] for name in calibration.contradicted}
@@ -119,7 +114,7 @@ def calibration_pictures(calibration: Calibration) -> Iterator[Picture]:
         wanted = len(calibration.channel) <= 3 or channel.name in failed
         if wanted and channel.residuals is not None and sum(channel.residuals.counts):
             words = f"Residuals of {channel.label}, in units of the standard deviation that the spec's noise gives."
-            yield picture(f"residuals {channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax))
+            yield picture(f"residuals {channel.name}", words, lambda ax, c=channel: plots.draw_residuals(c, ax=ax))
 
 
 def picture(name: str, caption: str, draw: Callable[[Axes], object], *, projection: str | None = None) -> Picture:

@@ -1,8 +1,8 @@
-"""A section of a page: sentences, tables, command lines and pictures."""
+"""A section of a page: sentences, tables, lines of code and pictures."""
 
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from gradcal_jax.pages.figures import Picture
 from gradcal_jax.tables.table import Table
@@ -15,7 +15,7 @@ class PageSection:
     title: str
     text: list[str] = field(default_factory=list[str])
     tables: list[Table] = field(default_factory=list[Table])
-    commands: list[str] = field(default_factory=list[str])
+    lines: list[str] = field(default_factory=list[str])
     pictures: list[Picture] = field(default_factory=list[Picture])
 
     @property
@@ -26,15 +26,14 @@ class PageSection:
     @property
     def is_empty(self) -> bool:
         """Whether nothing would stand under the heading."""
-        return not (self.text or self.commands or self.pictures or any(table.rows for table in self.tables))
+        return not (self.text or self.lines or self.pictures or any(table.rows for table in self.tables))
 
     def json(self) -> dict[str, Any]:
         """For other programs: sentences and rows of tables."""
         return {"text": self.text, "tables": [table.json() for table in self.tables]}
 
 
-@dataclass(frozen=True)
-class PagePart:
+class PagePart(NamedTuple):
     """A part of a document that is printed on sheets of its own."""
 
     heading: str

@@ -1,4 +1,4 @@
-"""The sources of a page: a plan, its run, a calibration, a plan to compare with."""
+"""The sources of a page: a plan, its run, a calibration."""
 
 import hashlib
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from typing import Any
 
 from gradcal_jax.calibration import Calibration, is_calibration, read_calibration
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.recipe.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
+from gradcal_jax.recipe.recipe import Recipe, is_recipe, recipe_of
 from gradcal_jax.spec.places import places_of, specs_at_places
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import FORMAT, Spec
@@ -22,18 +22,14 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """The sources of a page. `plan`: a spec, in the place of a recipe. `paths`: name and SHA-256 of each file; `notes`:
-    mismatches between the sources."""
+    """The sources of a page. `plan`: a spec, in the place of a recipe. `paths`: name and SHA-256 of each file."""
 
     plan: Spec | None = None
     recipe: Recipe | None = None
     run: RunFolder | None = None
     calibration: Calibration | None = None
-    before: Spec | None = None
-    before_name: str = ""
     calibration_name: str = ""
     paths: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
 
     @cached_property
     def spec(self) -> Spec | None:
@@ -41,10 +37,10 @@ class Sources:
         whole = self._whole
         if whole is None or not whole.rig.table.place:
             return whole
-        return specs_at_places(whole)[self._place or getattr(self.prediction, "place", None) or ""]
+        return specs_at_places(whole)[self._place or self.prediction.place or ""]
 
     @cached_property
-    def prediction(self) -> Predicted | Prediction:
+    def prediction(self) -> Prediction:
         """The prediction of the plan: a recipe's own, or that of its spec."""
         whole = self._whole
         assert whole is not None
@@ -67,19 +63,32 @@ class Sources:
         names = [name] if self.run is None else [device.name for device in self.run.rig().imu]
         return places_of(whole, names if name in names else [name])[name]
 
+    @property
+    def misfits(self) -> list[str]:
+        """Sentences on sources that do not belong together."""
+        made: dict[str, Any] = {}
+        if self.calibration is not None:
+            made["the calibration"] = self.calibration.provenance.get("recipe")
+        if self.run is not None:
+            made["the run"] = self.run.notes().get("recipe")
+        own = None if self.recipe is None else self.recipe.fingerprint
+        return [
+            f"{what} was made with a different recipe than the one on this page, or does not state its recipe: "
+            "prediction and result may belong to different plans"
+            for what, by in made.items()
+            if own not in (None, by)
+        ]
 
-def read_sources(paths: Sequence[Path], *, before: Path | None = None) -> Sources:
+
+def read_sources(paths: Sequence[Path]) -> Sources:
     """Read the sources of a page: the folder of a run (with the calibration in it), a recipe or spec, a calibration.
-
-    `before`: a spec, or a recipe, whose plan is compared with. Raises `ValueError` with a remedy.
-    """
+    Raises `ValueError` with a remedy."""
     parts: dict[str, Any] = {}
     named: list[tuple[str, str]] = []
 
     def take(kind: str, value: Any, path: Path) -> None:
         if kind in parts:
-            words = kind.replace("_", " ")
-            raise ValueError(f"{path} is a second {words}: a page shows one run, one recipe and one calibration")
+            raise ValueError(f"{path} is a second {kind}: a page shows one run, one plan and one calibration")
         parts[kind] = value
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
@@ -107,26 +116,19 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None) -> Source
     if run is not None:
         if "recipe" not in parts:
             take("recipe", run.recipe(), run.path / "recipe.toml")
-        if "calibration" not in parts and (own := calibrations_in(run.path)):
+        if "calibration" not in parts and (own := _calibrations_in(run.path)):
             if len(own) > 1:
                 names = ", ".join(path.name for path in own)
-                raise ValueError(
-                    f"{run.path} has several calibrations ({names}): also name the one that the page is for"
-                )
+                raise ValueError(f"{run.path} has several calibrations ({names}): also name one; each has its own page")
             take_calibration(own[0])
     if "plan" in parts and "recipe" in parts:
         raise ValueError("a page shows one plan, and the recipe already contains its spec: leave out the other spec")
     if not parts:
         raise ValueError("nothing to report: name the folder of a run, a recipe, a spec or a calibration")
-    if before is not None and not parts.keys() & {"plan", "recipe"}:
-        raise ValueError("a calibration contains no plan to compare with: also name its recipe or its spec")
-    if before is not None:
-        parts["before"], parts["before_name"] = spec_in(before), before.name
-        named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
-    return Sources(**parts, paths=tuple(named), notes=tuple(_misfits(parts)))
+    return Sources(**parts, paths=tuple(named))
 
 
-def calibrations_in(folder: Path) -> list[Path]:
+def _calibrations_in(folder: Path) -> list[Path]:
     """The calibrations in a run's folder: `CALIBRATION_IN_RUN` alone, or all of other names."""
     if (usual := folder / CALIBRATION_IN_RUN).is_file():
         return [usual]
@@ -137,25 +139,3 @@ def calibrations_in(folder: Path) -> list[Path]:
             if is_calibration(read_toml(read_text(path), str(path))):
                 found.append(path)
     return found
-
-
-def _misfits(parts: dict[str, Any]) -> list[str]:
-    """Sentences on sources that do not belong together."""
-    recipe: Recipe | None = parts.get("recipe")
-    calibration: Calibration | None = parts.get("calibration")
-    run: RunFolder | None = parts.get("run")
-    notes: list[str] = []
-    if recipe is not None and calibration is not None:
-        if (made_by := calibration.provenance.get("recipe")) is None:
-            notes.append(
-                "the calibration does not state the recipe with which its log was made, so it cannot be compared with "
-                "the recipe on this page"
-            )
-        elif made_by != recipe.fingerprint:
-            notes.append(
-                f"the calibration's log was made with a different recipe ({made_by[:12]}) than the one on this page "
-                f"({recipe.fingerprint[:12]}): prediction and result belong to different plans"
-            )
-    if run is not None and recipe is not None and run.notes().get("recipe") != recipe.fingerprint:
-        notes.append("the run was begun with a different recipe than the one on this page")
-    return notes

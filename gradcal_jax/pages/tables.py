@@ -1,6 +1,6 @@
 """Tables of results, which terminal, page and certificate share."""
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
@@ -8,15 +8,12 @@ from gradcal_jax.tables.contracts import Prediction
 from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Cell, Column, Table
 
-if TYPE_CHECKING:
-    from gradcal_jax.recipe.recipe import Predicted
-
 _ONE_SIGMA = Column("1σ", "", 3)
 COVERAGE: Final = 2.0
 """Of an expanded uncertainty whose requirement states none."""
 
 
-def coefficients(planned: "Predicted | Prediction | None", calibration: Calibration | None) -> Table:
+def coefficients(planned: Prediction | None, calibration: Calibration | None) -> Table:
     """Every coefficient with one standard deviation: of a calibration by its data, with errors that no residual shows,
     and as predicted by its plan."""
     predicted = {} if planned is None else {row.name: row for row in planned.parameters}

@@ -1,157 +1,65 @@
-"""Figures of estimates: terms over temperature and rate, and residuals of the rows or of gravity."""
-
-from collections.abc import Sequence
-from itertools import pairwise
+"""Maps of a calibration file with one standard deviation, and its residuals."""
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.calibration import CalibratedChannel, Calibration
-from gradcal_jax.estimation.bias_curves import BiasCurve
-from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate
-from gradcal_jax.estimation.hand_estimate import HandReport
-from gradcal_jax.information import segments_of
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term, panels_of
-from gradcal_jax.plots.style import PALETTE, new_axes
-from gradcal_jax.units import G
-
-_MOST_SENSORS = 12
+from gradcal_jax.estimation.calibrations import calibration_map, grid_of
+from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
-def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
-    """Whitened residuals of every channel over time: if the model is right, nearly all are within ± 3. Readings with a
-    reduced weight are marked."""
+def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
+    """The biases and scale factors of a calibration, by kind of channel, for `draw_calibrated_term`."""
+    found = {(c.kind, t.name): None for c in calibration.channel for t in c.term if t.name in ("bias", "scale_factor")}
+    return sorted(found, key=lambda panel: (panel[0] != "gyro", panel[1]))
+
+
+def draw_calibrated_term(
+    calibration: Calibration, kind: str, name: str, *, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """One term of all gyros, or of all accelerometers, over temperature at a low rate, each with a band of ± 1σ."""
     ax = new_axes(ax)
-    at = segments_of(report.executed.motion, report.built.model)
-    line = report.executed.motion.line
-    time = (line.start + line.duration)[at.last][at.row_segment][report.solution.used] / 3600.0
-    channel = at.row_channel[report.solution.used]
-    drawn = []
-    for k, c in enumerate(report.built.model.channels):
-        own = channel == k
-        residual = report.solution.residuals[own]
-        marker = "o" if c.kind == "gyro" else "^"
-        name = c.name.replace("_", " ")
-        drawn.append(
-            ax.scatter(time[own], residual, s=6, marker=marker, color=PALETTE[k % 6], label=name, rasterized=True)
-        )
-    for level in (-3.0, 3.0):
-        ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
-    ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="residuals of the rows")
-    ax.legend(ncols=2, fontsize="small")
-    return ax, drawn
-
-
-def draw_by_hand(report: HandReport) -> Figure:
-    """|f| − g of each position, and the error of gravity's direction after each turn, in the two directions
-    perpendicular to gravity."""
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    sizes = report.solution.left[0][:, None] / G * 1e6
-    turns = 1e3 * report.solution.left[1].reshape(-1, 2)
-    panels = (("position", "|f| - g", "µg", sizes), ("turn", "direction of gravity", "mrad", turns))
-    for ax, (each, what, unit, left) in zip(figure.subplots(1, 2), panels, strict=True):
-        for k in range(left.shape[1]):
-            ax.scatter(np.arange(1, len(left) + 1), left[:, k], s=14, marker="o^"[k], color=PALETTE[k])
-        ax.axhline(0.0, color="black", linewidth=0.7)
-        rms = np.sqrt(np.mean(left**2))
-        ax.set(xlabel=each, ylabel=f"error, {unit}", title=f"{what}: {rms:.3g} {unit} rms")
-    figure.suptitle(f"unit {report.unit}" + (", SIMULATED" if report.calibration.simulated else ""))
-    return figure
-
-
-def draw_warm_up(calibration: Calibration) -> Figure:
-    """The bias of each kind of channel over temperature."""
-    panels = panels_of(calibration)
-    figure = Figure(figsize=(4.5 * len(panels), 3.4), layout="constrained")
-    for (kind, name), ax in zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True):
-        draw_calibrated_term(calibration, kind, name, ax=ax)
-    figure.suptitle(f"IMU {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else ""))
-    return figure
-
-
-def draw_loop(curve: BiasCurve, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
-    """The difference between a channel's bias and its map, over temperature, on every leg: as measured, and as modelled
-    with ± 2 standard deviations."""
-    ax = new_axes(ax)
-    unit, factor = UNITS_OF_TERMS[curve.si_unit]
     lines: list[Line2D] = []
-    for first, end in legs_of(curve.temperature_c):
-        own = slice(first, end)
-        heats = curve.temperature_c[end - 1] > curve.temperature_c[first]
-        at, colour = curve.temperature_c[own], PALETTE[1 if heats else 0]
-        seen, fitted = ((v - curve.map)[own] * factor for v in (curve.measured, curve.model))
-        std = curve.std[own] * factor
-        lines += ax.plot(at, seen, ".", markersize=3, color=colour)
-        dash = "-" if heats else "--"
-        lines += ax.plot(at, fitted, dash, color=colour, label="heating" if heats else "cooling")
-        ax.fill_between(at, fitted - 2.0 * std, fitted + 2.0 * std, alpha=0.15, color=colour)
-    handles, labels = ax.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    ax.legend(by_label.values(), by_label.keys(), fontsize="small")
-    ax.set(xlabel="temperature, °C", ylabel=unit, title=f"{curve.channel.replace('_', ' ')}: bias beyond its map")
+    unit = ""
+    for channel in calibration.channel:
+        if channel.kind == kind and channel.term_of(name) is not None:
+            temperatures, _ = grid_of(channel, name)
+            value, std = calibration_map(calibration, channel, name, temperatures, np.zeros(1))
+            unit, number = value.unit, len(lines)
+            lines.append(draw_band(ax, temperatures, value.values[:, 0], std.values[:, 0], number, channel.axis))
+    ax.set(xlabel="temperature, °C", ylabel=f"{kind} {name.replace('_', ' ')} ± 1σ, {unit}")
+    if len(lines) > 1:
+        ax.legend(title="axis")
     return ax, lines
 
 
-def legs_of(temperature: np.ndarray) -> list[tuple[int, int]]:
-    """Rows `first … end − 1` of every heating or cooling leg of more than a twentieth of the range."""
-    least, legs = 0.05 * float(np.ptp(temperature)), [0]
-    highest = lowest = 0
-    # A leg ends where the temperature has returned by that from its extreme.
-    way = 0
-    for k, t in enumerate(temperature):
-        highest, lowest = (k if t > temperature[highest] else highest), (k if t < temperature[lowest] else lowest)
-        if way >= 0 and temperature[highest] - t > least:
-            legs, way, lowest = [*legs, highest], -1, k
-        elif way <= 0 and t - temperature[lowest] > least:
-            legs, way, highest = [*legs, lowest], 1, k
-    edges = [*legs, len(temperature) - 1]
-    return [(a, b + 1) for a, b in pairwise(edges) if abs(temperature[b] - temperature[a]) >= least]
+def draw_calibrated_scale_factor(
+    calibration: Calibration, channel: CalibratedChannel, *, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """The scale-factor map over rate, at the lowest, the middle and the highest temperature that the data cover."""
+    ax = new_axes(ax)
+    temperatures, rates = grid_of(channel, "scale_factor")
+    chosen = temperatures[[0, len(temperatures) // 2, -1]]
+    value, deviation = calibration_map(calibration, channel, "scale_factor", chosen, rates)
+    lines: list[Line2D] = []
+    for index, temperature in enumerate(chosen):
+        label = f"{temperature:.4g} °C".replace("-", "−")
+        lines.append(draw_band(ax, rates, value.values[index], deviation.values[index], index, label, alpha=0.25))
+    ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm")
+    ax.legend()
+    return ax, lines
 
 
-def draw_estimate(report: EstimateReport) -> Figure:
-    """A part for each sensor (the first ones, where there are very many): the terms of its calibration, the loops over
-    temperature where it has any, and the residuals."""
-    shown = report.sensors[:_MOST_SENSORS]
-    rows = [_rows_of(one) for one in shown]
-    figure = Figure(figsize=(10.0, 3.2 * sum(rows)), layout="constrained")
-    parts = figure.subfigures(len(shown), 1, squeeze=False, height_ratios=rows)[:, 0]
-    for part, one in zip(parts, shown, strict=True):
-        _draw_sensor(one, part)
-    return figure
-
-
-def _loops_of(report: SensorEstimate) -> Sequence[BiasCurve]:
-    loops = "heating against cooling" in report.calibration.contradicted
-    return report.curves if loops or any(one.width for one in report.calibration.path) else ()
-
-
-def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:
-    """The channels whose scale factor depends on the rate."""
-    scales = ((channel, channel.term_of("scale_factor")) for channel in calibration.channel)
-    return [channel for channel, term in scales if term is not None and term.rate is not None]
-
-
-def _rows_of(report: SensorEstimate) -> int:
-    """Rows of panels, two in each, and one of the residuals."""
-    calibration = report.calibration
-    return (len(panels_of(calibration)) + len(_over_rate(calibration)) + len(_loops_of(report)) + 1) // 2 + 1
-
-
-def _draw_sensor(report: SensorEstimate, figure: SubFigure) -> None:
-    calibration, rows = report.calibration, _rows_of(report)
-    grid = figure.add_gridspec(rows, 2)
-    places = iter(grid[k // 2, k % 2] for k in range(2 * rows - 2))
-    for kind, name in panels_of(calibration):
-        draw_calibrated_term(calibration, kind, name, ax=figure.add_subplot(next(places)))
-    for channel in _over_rate(calibration):
-        ax, _ = draw_calibrated_scale_factor(calibration, channel, ax=figure.add_subplot(next(places)))
-        ax.set_title(channel.label)
-    for curve in _loops_of(report):
-        draw_loop(curve, ax=figure.add_subplot(next(places)))
-    draw_residuals_over_time(report, ax=figure.add_subplot(grid[rows - 1, :]))
-    simulated = ", SIMULATED" if calibration.simulated else ""
-    figure.suptitle(f"calibration of {calibration.serial_number}{simulated}")
+def draw_residuals(channel: CalibratedChannel, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The histogram of whitened residuals, beside the normal distribution of a true model."""
+    ax = new_axes(ax)
+    assert channel.residuals is not None
+    counts, edges = np.array(channel.residuals.counts), np.arange(-4.5, 4.75, 0.5)
+    ax.bar(edges[:-1], counts, width=0.5, align="edge", color=PALETTE[0], alpha=0.6, label="residuals")
+    x = np.linspace(-4.5, 4.5, 181)
+    normal = 0.5 * counts.sum() * np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
+    (line,) = ax.plot(x, normal, label="normal", **style_of(1))
+    ax.set(xlabel="residual in standard deviations (ends: all beyond 4)", ylabel="readings")
+    ax.legend()
+    return ax, line

@@ -1,4 +1,4 @@
-"""Figures of a spec: the residuals of its plan, its tracks, the poses at rest, and comparisons of plans."""
+"""Figures of specs: the residuals of plans, the temperature, and the poses at rest."""
 
 from collections.abc import Sequence
 
@@ -9,79 +9,34 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.estimation.calibrations import Box
-from gradcal_jax.information import Posterior
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.verdicts import target_of
-from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, rest_poses
-from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
-from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_figure, new_panels, style_of
-from gradcal_jax.spec.requirement import Requirement
+from gradcal_jax.model.build import build_imu, imu_posterior, rest_poses
+from gradcal_jax.plots.residual import boxes_of, draw_curves
+from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_panels, style_of
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 
-_PANEL = (6.0, 4.0)
-_COLUMNS = 2
-
-
-def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """The residual of each requirement: a map for a single scale factor, otherwise a curve for each element. If
-    attitudes matter, the poses on the sphere are also drawn. `figure`: by default a new one.
-
-    Errors: `ValueError` for a spec without requirements.
-    """
-    spec = expect_spec(spec)
-    if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add a requirement")
-    built = build_imu(spec)
-    known = imu_posterior(built)
-    drawn = _with_map(spec)
-    count, across = len(drawn) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
-    rows = -(-count // across)
-    figure = new_figure(figure, (_PANEL[0] * across, _PANEL[1] * rows))
-    for k, requirement in enumerate(drawn):
-        _draw_requirement(built, known, requirement, figure.add_subplot(rows, across, k + 1))
-    if not spec.is_one_axis:
-        draw_poses(spec, ax=figure.add_subplot(rows, across, count, projection="mollweide"))
-    if spec.title:
-        figure.suptitle(spec.title)
-    return figure.get_figure(root=True)
-
-
-def _with_map(spec: Spec) -> list[Requirement]:
-    """The requirements of which there is a curve or a map: all but those of missions."""
-    return [r for r in spec.requirement if r.quantity != "mission_heading"]
-
-
-def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
-    """The residual of one requirement."""
-    left = imu_residual(built, known, requirement)
-    if len(left.labels) == 1 and len(left.rates) > 1:
-        draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, ax=ax)
-    else:
-        target = target_of(requirement)
-        draw_curves(boxes_of(left), None if target is None else target / requirement.coverage, ax=ax)
-    ax.set_title(requirement.name)
-
 
 def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFigure | None = None) -> Figure:
     """Plans side by side, on `figure` or a new one: a panel for each requirement, with a curve for each plan and each
-    element (such as an axis). Errors:
-    `ValueError` without requirements."""
-    plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
-    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in _with_map(built.spec)))
-    if not names:
+    element (such as an axis), and the target of a single plan. Errors: `ValueError` without requirements."""
+    found: dict[tuple[str, str], list[tuple[str, Box]]] = {}
+    targets: dict[tuple[str, str], float | None] = {}
+    for label, spec in specs:
+        built = build_imu(expect_spec(spec))
+        known = imu_posterior(built)
+        for requirement in spec.requirement:
+            key, target = (requirement.name, requirement.quantity), target_of(requirement)
+            found.setdefault(key, []).extend(boxes_of(imu_residual(built, known, requirement), label))
+            targets[key] = None if target is None or len(specs) > 1 else target / requirement.coverage
+    if not found:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")
-    figure, all_axes = new_panels(len(names), 1, (6.8, 4.0), figure)
-    known = [imu_posterior(built) for _, built in plans]
-    for axes, of_name in zip(all_axes[:, 0], names, strict=True):
-        drawn: list[tuple[str, Box]] = []
-        for (label, built), of in zip(plans, known, strict=True):
-            for requirement in (r for r in built.spec.requirement if (r.name, r.quantity) == of_name):
-                drawn += boxes_of(imu_residual(built, of, requirement), label)
-        if drawn:
-            draw_curves(drawn, ax=axes)
-        axes.set_title(of_name[0])
+    figure, panels = new_panels(len(found), (6.8, 4.0), figure)
+    for axes, (key, drawn) in zip(panels, found.items(), strict=True):
+        draw_curves(drawn, targets[key], ax=axes)
+        axes.set_title(key[0])
     return figure
 
 

@@ -36,25 +36,13 @@ def draw_band(
     return line
 
 
-def new_figure(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
-    """`figure`, or a new one without a window; `size` in inches."""
-    return Figure(figsize=size, layout="constrained") if figure is None else figure
-
-
 def new_panels(
-    rows: int, columns: int, size: tuple[float, float], figure: Figure | SubFigure | None = None
-) -> tuple[Figure, np.ndarray]:
-    """`(rows, columns)` axes on `figure`, or on a new one without a window, and the whole figure that they are on;
-    `size` of each, in inches."""
-    figure = new_figure(figure, (size[0] * columns, size[1] * rows))
-    return figure.get_figure(root=True), figure.subplots(rows, columns, squeeze=False)
-
-
-def from_zero(ax: Axes) -> None:
-    """Let the y axis begin at zero and hold every curve drawn so far."""
-    ax.autoscale(enable=True, axis="y")
-    ax.autoscale_view()
-    ax.set_ylim(bottom=0.0)
+    count: int, size: tuple[float, float], figure: Figure | SubFigure | None = None
+) -> tuple[Figure, list[Axes]]:
+    """Axes one below the other on `figure`, or on a new one without a window; `size` of each, in inches."""
+    if figure is None:
+        figure = Figure(figsize=(size[0], size[1] * count), layout="constrained")
+    return figure.get_figure(root=True), list(figure.subplots(count, 1, squeeze=False)[:, 0])
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -63,7 +51,5 @@ def save(figure: Figure, path: str | Path) -> None:
     known = figure.canvas.get_supported_filetypes()
     if ending not in known:
         raise ValueError(f"{path}: the name of a figure must end in one of {', '.join('.' + k for k in sorted(known))}")
-    if not Path(path).parent.is_dir():
-        raise ValueError(f"the directory {Path(path).parent} does not exist; make it first")
     with whole(path) as passing:
         figure.savefig(passing, dpi=150)

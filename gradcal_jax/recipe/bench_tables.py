@@ -1,15 +1,44 @@
-"""A recipe's tracks as rows of text for the operator: the same on a terminal and on a page."""
+"""A plan as text for the operator: the same on a terminal and on a page."""
 
 import math
-from typing import Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
 
-from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, TrackMove
+from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, TrackMove, Tracks
+from gradcal_jax.tables.contracts import outcomes
 from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.table import Table
 from gradcal_jax.units import time_text
 
-CHAMBER_HEAD: Final = ("", "begins", "plan's clock", "lasts", "what", "data")
+if TYPE_CHECKING:
+    from gradcal_jax.recipe.recipe import Recipe
+
 MOVES_HEAD: Final = ("at", "axis", "what", "lasts", "angle", "rate", "acceleration", "read")
+
+
+def show(recipe: "Recipe", *, heading: Callable[[str], str] = str) -> str:
+    """A recipe in plain text: the steps of the chamber, those of the table as the controllers take them, and the
+    predicted residuals (1σ). `heading` formats headings, as the command does on a terminal."""
+    lines = [heading(recipe.title or "recipe"), f"{recipe.made.by}; {recipe.status}"]
+    lines += [f"recipe {recipe.fingerprint[:12]}", *(f"note: {note}" for note in recipe.notes), ""]
+    lines += [*plan_lines(recipe.tracks, heading), *(f"  {line}" for line in chamber_words(recipe)), ""]
+    lines += [heading("What it leaves (1σ)"), outcomes(recipe.prediction.requirements).text(indent="  ")]
+    return "\n".join([*lines, *(f"note: {warning}" for warning in recipe.prediction.warnings)])
+
+
+def plan_lines(tracks: Tracks, heading: Callable[[str], str] = str) -> list[str]:
+    """The tracks in plain text; the moves of a block that are those of the block before are not repeated."""
+    lines = [heading("Chamber"), chamber_table(tracks).text(indent="  ")]
+    before: tuple[TrackMove, ...] = ()
+    for block in tracks.motion:
+        lines += ["", *([] if block.hang is None else [f"mount the IMU as follows: {block.hang}"])]
+        lines.append(heading("Table, " + block_heading(block)))
+        if block.moves == before:
+            lines.append("  the same moves")
+        else:
+            lines.append(Table.of(MOVES_HEAD, move_rows(block)).text(indent="  "))
+        before = block.moves
+    return lines
 
 
 def clock_text(seconds: float) -> str:
@@ -19,9 +48,9 @@ def clock_text(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}" + (f".{tenth}" if tenth else "")
 
 
-def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
-    """A row of `CHAMBER_HEAD` for each segment of the chamber's track."""
-    return [
+def chamber_table(tracks: Tracks) -> Table:
+    """A row for each segment of the chamber's track."""
+    rows = [
         (
             segment.name,
             "when stable" if segment.begins == "when stable" else "at once",
@@ -30,15 +59,16 @@ def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
             _course(segment),
             "used" if segment.used else "",
         )
-        for segment in recipe.chamber.programme
+        for segment in tracks.chamber
     ]
+    return Table.of(["segment", "begins", "plan's clock", "lasts", "what", "data"], rows)
 
 
-def chamber_words(recipe: Recipe) -> list[str]:
+def chamber_words(recipe: "Recipe") -> list[str]:
     """The duration and the conditions of waiting, in sentences."""
     stable = recipe.stability
     lines = [f"{time_text(recipe.duration_s)} in total, plus waiting for stable temperatures"]
-    if any(segment.begins == "when stable" for segment in recipe.chamber.programme):
+    if any(segment.begins == "when stable" for segment in recipe.chamber):
         lines.append(
             f"stable: within {stable.within} of the initial temperature of the segment, and constant to the same "
             f"tolerance, for {stable.for_at_least}; timeout after {stable.timeout} (first segment: "

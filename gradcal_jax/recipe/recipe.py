@@ -1,74 +1,32 @@
-"""gradcal-recipe/1: an executable plan. Tracks of chamber and table, the predicted residual, the spec.
+"""gradcal-recipe/1: an executable plan.
 
-The tracks follow from the spec inside, whose plan is rounded to the controllers' steps; a file in which they do not was
-changed by hand, and is refused. Nothing here imports JAX: `information.prediction` builds a recipe, and this
-package has all that a runner needs of it.
+A recipe is a spec, whose plan is rounded to the controllers' steps, with its prediction; the tracks follow from the
+spec, and are not in the file. Nothing here imports JAX: `design.recipe_of_plan` builds a recipe, and this package has
+all that a runner needs of it.
 """
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from pydantic import Field
 
 from gradcal_jax import units
-from gradcal_jax.recipe.rounding import ControllerSteps
-from gradcal_jax.recipe.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.spec.changes import differences, tables_of
-from gradcal_jax.spec.mission import missions_from
+from gradcal_jax.recipe.bench_tables import show
+from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, Stability, Tracks, tracks_of
+from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import (
-    ParameterRow,
-    PlaceRow,
-    Prediction,
-    RequirementRow,
-    Size,
-    outcomes,
-)
-from gradcal_jax.tables.display import whole_text
+from gradcal_jax.tables.contracts import Prediction, outcomes
 from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
 from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Text, Whole
 from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-recipe/1"
-
-
-class PredictedParameter(ParameterRow):
-    """A coefficient and its predicted standard deviation."""
-
-    std: Size | None = None
-    """Standard deviation after the calibration; absent: this plan cannot observe the coefficient."""
-
-
-class Predicted(Section):
-    """The prediction for the rounded plan, as from `gradcal predict`, without the covariance."""
-
-    duration_s: Size
-    """Duration of the whole plan (s)."""
-    soak_s: Size
-    """Total duration of the soaks (s)."""
-    motion_s: Size
-    """Duration of the ramp (s)."""
-    requirements: tuple[RequirementRow, ...] = ()
-    """Residuals, one entry for each requirement."""
-    parameters: tuple[PredictedParameter, ...] = ()
-    """Coefficients with their standard deviations."""
-    warnings: tuple[Text, ...] = ()
-    """Warnings, in sentences."""
-    places: tuple[PlaceRow, ...] = ()
-    """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
-    place: Text | None = None
-    """For a fixture of several IMUs: name of the worst place."""
-
-    @classmethod
-    def of(cls, prediction: Prediction) -> "Predicted":
-        """From the contract."""
-        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance", "omitted"})
-        return cls.model_validate(tables)
 
 
 class RecipeOrigin(Section):
@@ -90,49 +48,43 @@ class Recipe(TitledFile):
     """How the plan was made, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
     """Notes on the plan, in sentences; some state differences between the plan and what the controllers execute."""
-    rounded: tuple[Text, ...] = ()
-    """Changes that rounding made to the plan, one sentence each."""
     made: RecipeOrigin
     """The program that made the recipe."""
-    resolution: ControllerSteps
-    """Steps of the controllers to which the plan is rounded."""
     stability: Stability
     """Conditions under which a temperature counts as stable."""
-    chamber: ChamberTrack
-    """What the chamber does."""
-    motion: tuple[MotionBlock, ...]
-    """What the table does, in blocks."""
-    prediction: Predicted
-    """Prediction for the rounded plan."""
+    prediction: Prediction
+    """Prediction for the rounded plan, without the covariance."""
     optimisation: dict[str, Any] | None = None
     """Record of the optimisation: objective, its value before and after, number of starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
     """The spec, with the plan that the recipe executes."""
 
-    __str__ = whole_text
-
-    def _problems(self) -> Iterable[Problem]:
-        step = self.resolution.acceleration
-        chamber, motion = tracks_of(self.spec, None if step is None else float(step))
-        expected, written = (
-            {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
-            for track, blocks in ((chamber, motion), (self.chamber, self.motion))
-        )
-        message = (
-            "does not agree with the spec in this recipe: to change a plan, change the spec and make the recipe again"
-        )
-        return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
+    def __str__(self) -> str:
+        return show(self)
 
     def _shown(self) -> list[str]:
-        rows = self.prediction.requirements
+        rows, figures = self.prediction.requirements, self.prediction
         return [
             f"Recipe: {self.title}" if self.title else "Recipe",
             self.status,
-            units.times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
-            f"segments of the chamber: {len(self.chamber.programme)}; cycles of the table: "
-            f"{sum(block.repeat for block in self.motion)}",
+            units.times_text(figures.duration_s, figures.soak_s, figures.motion_s),
             outcomes(rows, limits=False).text(),
         ]
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """What chamber and table do."""
+        return tracks_of(self.spec)
+
+    @property
+    def chamber(self) -> tuple[ChamberSegment, ...]:
+        """What the chamber does."""
+        return self.tracks.chamber
+
+    @property
+    def motion(self) -> tuple[MotionBlock, ...]:
+        """What the table does, in blocks."""
+        return self.tracks.motion
 
     @property
     def duration_s(self) -> float:
@@ -156,24 +108,25 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    with missions_from(Path(path).parent):
-        return spec_of_either(read_toml(read_text(path), str(path)), str(path))
-
-
-def spec_or_recipe(path: str | Path) -> Spec | Recipe:
-    """The spec or the recipe in a file. Raises `SpecError`."""
-    with missions_from(Path(path).parent):
-        return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
+    return _spec_of(spec_or_recipe(path))
 
 
 def spec_of_either(document: Mapping[str, Any], source: str = "") -> Spec:
     """The spec from the tables of a spec or recipe. Raises `SpecError`."""
-    contents = _spec_or_recipe_of(document, source)
-    return contents.spec if isinstance(contents, Recipe) else contents
+    return _spec_of(_spec_or_recipe_of(document, source))
+
+
+def spec_or_recipe(path: str | Path) -> Spec | Recipe:
+    """The spec or the recipe in a file. Raises `SpecError`."""
+    return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
 
 
 def _spec_or_recipe_of(document: Mapping[str, Any], source: str = "") -> Spec | Recipe:
     return recipe_of(document, source) if is_recipe(document) else spec_of(document, source)
+
+
+def _spec_of(contents: Spec | Recipe) -> Spec:
+    return contents.spec if isinstance(contents, Recipe) else contents
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

@@ -12,20 +12,18 @@ angle, peak rate and duration, or a spline's largest.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from typing import Annotated, Any, Final, Literal
-
-from pydantic import Field
+from typing import Any, Final, Literal, NamedTuple
 
 from gradcal_jax.spec.bench import Mounting, Rig
-from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.rig import Name
-from gradcal_jax.spec.schedule import Stretch, TemperatureSegment
+from gradcal_jax.spec.schedule import PlanSchedule, TemperatureSegment
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.section import Section
 from gradcal_jax.units import dimension_of
 
@@ -38,115 +36,114 @@ _HAIR: Final = 1e-6  # of a step
 class Stability(Section):
     """Conditions under which a temperature counts as stable."""
 
-    within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
+    within: q.PositiveTemperatureDifference = Quantity(0.5, "0.5 K", "temperature difference")
     """A temperature is stable if it deviates from the goal, and changes, by no more than this tolerance."""
-    for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
+    for_at_least: q.Time = Quantity(300.0, "5 min", "time")
     """Time for which the temperature must stay within this tolerance."""
-    first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
+    first_timeout: q.Time = Quantity(14400.0, "4 h", "time")
     """Longest wait before the first segment (the chamber is at room temperature when this wait begins)."""
-    timeout: q.Time = q.Quantity(7200.0, "2 h", "time")
+    timeout: q.Time = Quantity(7200.0, "2 h", "time")
     """Longest wait before each of the other segments."""
 
 
-class ChamberSegment(Section):
-    """One segment of the chamber's programme."""
+@dataclass(frozen=True)
+class ChamberSegment:
+    """One segment of the chamber's programme. It `begins` at its time (`start` on the plan's clock, which stops while
+    the run waits), or when the temperature is stable. `slope`: signed, of a ramp. `used`: its readings are data."""
 
-    name: q.Text
-    """Name of the segment; blocks of motion refer to it."""
+    name: str
     kind: Literal["soak", "ramp", "step"]
-    """What the chamber does: stay (soak), ramp, or step as fast as it can."""
     begins: Begins
-    """Whether the segment begins at its time, or when the temperature is stable."""
-    start: q.SizeOfTime
-    """Start of the segment on the plan's clock (this clock stops while the run waits)."""
-    duration: q.Time
-    """Duration of the segment."""
-    temperature_start: q.Temperature
-    """Temperature at the start."""
-    temperature_end: q.Temperature
-    """Temperature at the end."""
-    slope: q.TemperatureSlope | None = None
-    """Signed slope of a ramp; absent: the temperature is constant, or changes at the chamber's maximum rate."""
-    used: q.Flag
-    """Whether the readings in this segment are part of the data."""
+    start: Quantity
+    duration: Quantity
+    temperature_start: Quantity
+    temperature_end: Quantity
+    used: bool
+    slope: Quantity | None = None
 
 
-class TrackMove(Section):
-    """One move of a block of motion."""
+@dataclass(frozen=True)
+class TrackMove:
+    """One move of a block of motion, which begins at `start` of the repetition; "wait": the axis is at rest because
+    other axes turn, or because nothing is planned. `acceleration` is that of the trapezoid with the same angle, peak
+    rate and duration."""
 
-    start: q.SizeOfTime
-    """Start of the move, counted from the start of the repetition."""
+    start: Quantity
+    duration: Quantity
     do: Doing
-    """What the axis does; "wait": the axis is at rest because other axes turn, or because nothing is planned."""
-    duration: q.Time
-    """Duration of the move."""
-    axis: Name = "x"
-    """Axis of the table."""
-    angle: q.Angle | None = None
-    """Angle by which the axis turns; its sign is the direction."""
-    rate: q.Rate | None = None
-    """Largest rate of the move."""
-    acceleration: q.PositiveAcceleration | None = None
-    """Acceleration of the trapezoid with the same angle, peak rate and duration."""
-    shape: q.Text | None = None
-    """Shape of the planned rate over time."""
+    axis: str = "x"
+    angle: Quantity | None = None
+    rate: Quantity | None = None
+    acceleration: Quantity | None = None
     read: Literal["end", "none"] | None = None
-    """"end": one reading at the end of the move; "none": no reading."""
-    read_every: q.Time | None = None
-    """Time between readings during the move."""
+    read_every: Quantity | None = None
 
 
-class MotionBlock(Section):
-    """A block of moves that is repeated. The last repetition does not include the waits at its end."""
+@dataclass(frozen=True)
+class MotionBlock:
+    """A block of moves that is repeated; the last repetition does not include the waits at its end, but a rest of
+    `standing_after`. Of several mountings, `mounting` is the number of this one, and `hang` says it to the operator.
+    `start`: angles of the table's axes, outermost first."""
 
-    name: q.Text
-    """Name of the block."""
-    begins_with: q.Text
-    """Name of the chamber's segment with which the block begins."""
-    repeat: q.Count
-    """Number of repetitions."""
-    period: q.Time
-    """Time from the start of one repetition to the start of the next."""
-    standing_after: q.SizeOfTime
-    """Duration of the rest after the last repetition."""
-    read_every_after: q.Time | None = None
-    """Time between readings during this rest; absent: no readings."""
-    mounting: q.Count | None = None
-    """If there are several mountings: the index of the mounting, counted from 1."""
-    hang: q.Text | None = None
-    """The mounting on the table, in words, if it changes before this block; the operator is asked to change it."""
-    start: dict[Name, q.Angle] = Field(default_factory=dict)
-    """Angles of the table's axes at the start of the block, outermost first."""
-    moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
-    """Moves, one after the other."""
+    name: str
+    begins_with: str
+    moves: tuple[TrackMove, ...]
+    repeat: int
+    period: Quantity
+    standing_after: Quantity
+    read_every_after: Quantity | None = None
+    mounting: int | None = None
+    hang: str | None = None
+    start: Mapping[str, Quantity] = field(default_factory=dict[str, Quantity])
 
 
-class ChamberTrack(Section):
-    """`[chamber]` of a recipe: what the chamber does."""
+class Tracks(NamedTuple):
+    """What the chamber does, and what the table does."""
 
-    programme: Annotated[tuple[ChamberSegment, ...], Field(min_length=1)]
-    """Segments of the chamber, in order."""
+    chamber: tuple[ChamberSegment, ...]
+    motion: tuple[MotionBlock, ...]
 
 
-def tracks_of(spec: Spec, acceleration_step: float | None = None) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
-    """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
+class ControllerSteps(NamedTuple):
+    """The steps of the controllers. The defaults suit this program's drivers; `[rig.resolution]` of a spec replaces
+    them. Without a step, accelerations are not rounded."""
+
+    temperature: Quantity = Quantity(0.1, "0.1 K", "temperature difference")
+    slope: Quantity = Quantity(0.01 / 60.0, "0.01 K/min", "temperature slope")
+    time: Quantity = Quantity(0.1, "0.1 s", "time")
+    rate: Quantity = Quantity(math.radians(0.01), "0.01 deg/s", "angular rate")
+    angle: Quantity = Quantity(math.radians(0.001), "0.001 deg", "angle")
+    acceleration: Quantity | None = None
+
+
+# A rotary stage that counts accelerations in units of 10 000/1.6384 microsteps/s² has coarse steps: one that divides
+# a turn into 1 152 000 microsteps makes 1.907, 3.815, … deg/s².
+_ACCELERATION: Final = Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
+
+
+def steps_of(spec: Spec) -> ControllerSteps:
+    """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
+    own = {} if spec.rig.resolution is None else dict(spec.rig.resolution)
+    return ControllerSteps(**{"acceleration": _ACCELERATION} | {k: v for k, v in own.items() if v is not None})
+
+
+def tracks_of(spec: Spec) -> Tracks:
+    """The two tracks of a spec's plan, with accelerations that the table's controller makes."""
     axes = spec.rig.table.axis
     if isinstance(spec.plan, StandardPlan):
         return _standard(spec.plan, axes[0].name)
     segments = _course(spec.executable_schedule.segments)
+    strongest = {axis.name: float(axis.max_acceleration) for axis in axes}
+    step = steps_of(spec).acceleration
+
+    def makeable(move: TrackMove) -> TrackMove:
+        if move.do != "turn" or move.acceleration is None:
+            return move
+        made = makeable_acceleration(float(move.acceleration), step, strongest[move.axis])
+        return replace(move, acceleration=_in("deg/s^2", math.degrees(made)))
+
     blocks = _blocks(spec.executable_schedule, spec.rig, segments)
-    if acceleration_step is not None:
-        strongest = {axis.name: float(axis.max_acceleration) for axis in axes}
-
-        def makeable(move: TrackMove) -> TrackMove:
-            """The move with an acceleration that the controller makes."""
-            if move.do != "turn" or move.acceleration is None:
-                return move
-            made = makeable_acceleration(float(move.acceleration), acceleration_step, strongest[move.axis])
-            return move.model_copy(update={"acceleration": _in("deg/s^2", math.degrees(made))})
-
-        blocks = tuple(b.model_copy(update={"moves": tuple(map(makeable, b.moves))}) for b in blocks)
-    return ChamberTrack(programme=tuple(segments)), blocks
+    return Tracks(tuple(segments), tuple(replace(b, moves=tuple(map(makeable, b.moves))) for b in blocks))
 
 
 def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
@@ -163,81 +160,66 @@ def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
 
 def _course(course: Sequence[TemperatureSegment]) -> list[ChamberSegment]:
     segments: list[ChamberSegment] = []
-    counts: dict[str, int] = {}
     before: TemperatureSegment | None = None
     for segment in course:
-        counts[segment.kind] = counts.get(segment.kind, 0) + 1
         settled = before is None or (segment.used and not before.used and before.kind in ("soak", "step"))
-        slope: dict[str, Any] = {"slope": _in("K/min", 60.0 * segment.slope)} if segment.kind == "ramp" else {}
         segments.append(
             ChamberSegment(
-                name=f"{segment.kind} {counts[segment.kind]}",
-                kind=segment.kind,
-                begins="when stable" if settled else "at its time",
-                start=_in("s", segment.start),
-                duration=_in("s", segment.duration),
-                temperature_start=_in("degC", segment.temperature_start),
-                temperature_end=_in("degC", segment.temperature_end),
-                used=segment.used,
-                **slope,
+                f"{segment.kind} {1 + sum(other.kind == segment.kind for other in segments)}",
+                segment.kind,
+                "when stable" if settled else "at its time",
+                _in("s", segment.start),
+                _in("s", segment.duration),
+                _in("degC", segment.temperature_start),
+                _in("degC", segment.temperature_end),
+                segment.used,
+                _in("K/min", 60.0 * segment.slope) if segment.kind == "ramp" else None,
             )
         )
         before = segment
     return segments
 
 
-def _block(
-    number: int, begins_with: str, moves: Sequence[TrackMove], period: float, after: float = 0.0, **more: Any
-) -> MotionBlock:
-    """A block of `period` s, after which the axis stands for `after` s."""
-    times: dict[str, Any] = {"repeat": 1, "period": _in("s", period), "standing_after": _in("s", after)}
-    return MotionBlock(name=f"motion {number}", begins_with=begins_with, moves=tuple(moves), **times | more)
-
-
-def _line(start: float, duration: float, **what: Any) -> TrackMove:
-    return TrackMove(start=_in("s", start), duration=_in("s", duration), **what)
-
-
-def _first(stretch: Stretch, segments: list[ChamberSegment]) -> str:
-    return min(segments, key=lambda segment: abs(segment.start - stretch.start)).name
-
-
-def _blocks(schedule: PlanSchedule, rig: Rig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+def _blocks(schedule: PlanSchedule, rig: Rig, segments: list[ChamberSegment]) -> list[MotionBlock]:
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
-    held, once = rig.table.standing == "held", math.isinf(spacing)
-    typed = rig.table.typed
+    held, once, typed = rig.table.standing == "held", math.isinf(spacing), rig.table.typed
     moves: list[TrackMove] = []
     clock = 0.0
     for step in (*schedule.steps, *schedule.after):
         move = step.move
+        every = spacing if held or move.reads_as_table else move.read_every
+        read = _readings(every, at_end=move.read_end and not (held and typed and step.axis < 0))
         own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(move)}
-        if step.source < 0:
-            own["do"] = "wait"
-        every, ends = spacing if held or move.reads_as_table else move.read_every, move.read_end
-        moves.append(
-            _line(
-                clock, move.duration, **own, **_readings(every, at_end=ends and not (held and typed and step.axis < 0))
-            )
-        )
+        own |= {"do": "wait"} if step.source < 0 else {}
+        moves.append(TrackMove(_in("s", clock), _in("s", move.duration), **own, **read))
         clock += move.duration
+    start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
-        where = min(number, len(hung) - 1)
-        hang: dict[str, Any] = {}
-        if len(hung) > 1:
-            hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
-        start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
+        made, period, leftover = moves, schedule.period, stretch.leftover
+        if not stretch.cycles:
+            period, leftover = stretch.duration, 0.0
+            read = _readings(spacing, at_end=not typed)
+            made = [TrackMove(_in("s", 0.0), _in("s", period), "rest", **read)]
         left = stretch.leftover if once and not typed and stretch.leftover > 0.0 else spacing
-        after: dict[str, Any] = {} if math.isinf(left) else {"read_every_after": _in("s", left)}
-        more: dict[str, Any] = {**hang, "start": start, "repeat": max(stretch.cycles, 1), **after}
-        first = _first(stretch, segments)
-        if stretch.cycles:
-            blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
-        else:
-            standing = _line(0.0, stretch.duration, do="rest", **_readings(spacing, at_end=not typed))
-            blocks.append(_block(number + 1, first, [standing], stretch.duration, **more))
-    return tuple(blocks)
+        first = min(segments, key=lambda segment: abs(segment.start - stretch.start))
+        place = min(number, len(hung) - 1)
+        blocks.append(
+            MotionBlock(
+                f"motion {number + 1}",
+                first.name,
+                tuple(made),
+                max(stretch.cycles, 1),
+                _in("s", period),
+                _in("s", leftover),
+                None if math.isinf(left) else _in("s", left),
+                place + 1 if len(hung) > 1 else None,
+                hanging(hung[place], place + 1) if len(hung) > 1 else None,
+                start,
+            )
+        )
+    return blocks
 
 
 def _readings(every: float | None, *, at_end: bool) -> dict[str, Any]:
@@ -265,7 +247,6 @@ def _motion(move: ResolvedMove) -> dict[str, Any]:
         "angle": _in("deg", math.degrees(move.angle)),
         "rate": _in("deg/s", math.degrees(move.peak_rate)),
         "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
-        "shape": move.shape,
     }
 
 
@@ -286,33 +267,25 @@ def trapezoid_acceleration(move: ResolvedMove) -> float:
 # ------------------------------------------------------------------------------------------------- standard method
 
 
-def _standard(plan: StandardPlan, axis: str) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
-    rates = plan.rates or (_in("deg/s", 0.0),)
-    stay = len(rates) * plan.integration
+def _standard(plan: StandardPlan, axis: str) -> Tracks:
+    stay = len(plan.rates or (0.0,)) * plan.integration
+    moves: list[TrackMove] = []
+    for place, rate in enumerate(plan.rates or (0.0,)):
+        what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
+        moves.append(TrackMove(_in("s", place * plan.integration), plan.integration, axis=axis, **what))
     segments: list[ChamberSegment] = []
     blocks: list[MotionBlock] = []
     clock = 0.0
-    for number, temperature in enumerate(plan.temperatures, 1):
-        at: dict[str, Any] = {"kind": "soak", "temperature_start": temperature, "temperature_end": temperature}
-        soak: Begins = "when stable" if number == 1 else "at its time"
-        at |= {"start": _in("s", clock), "duration": plan.soak}
-        segments.append(ChamberSegment(name=f"soak {number}", begins=soak, used=False, **at))
-        clock += plan.soak
-        points = f"points {number}"
-        at |= {"start": _in("s", clock), "duration": _in("s", stay)}
-        segments.append(ChamberSegment(name=points, begins="when stable", used=True, **at))
-        clock += stay
-        moves: list[TrackMove] = []
-        for place, rate in enumerate(rates):
-            what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
-            moves.append(
-                TrackMove(axis=axis, start=_in("s", place * plan.integration), duration=plan.integration, **what)
-            )
-        blocks.append(_block(number, points, moves, stay))
-    return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+    for number, at in enumerate(plan.temperatures, 1):
+        for name, lasts, used in ((f"soak {number}", plan.soak, False), (f"points {number}", _in("s", stay), True)):
+            begins: Begins = "when stable" if used or number == 1 else "at its time"
+            segments.append(ChamberSegment(name, "soak", begins, _in("s", clock), lasts, at, at, used))
+            clock += lasts
+        blocks.append(MotionBlock(f"motion {number}", name, tuple(moves), 1, _in("s", stay), _in("s", 0.0)))
+    return Tracks(tuple(segments), tuple(blocks))
 
 
-def _in(unit: str, number: float) -> q.Quantity:
+def _in(unit: str, number: float) -> Quantity:
     """A computed number without its rounding errors (a billionth of the unit)."""
     text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
-    return q.Quantity.read(f"{text} {unit}", dimension_of(unit))
+    return Quantity.read(f"{text} {unit}", dimension_of(unit))

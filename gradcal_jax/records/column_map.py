@@ -176,8 +176,6 @@ class ColumnMap(Section):
     """Columns of the accelerometers' specific forces, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of the temperature."""
-    second_temperature: TemperatureColumn | None = None
-    """Column of a second thermometer's temperature, for example on the case."""
     status: StatusColumn | None = None
     """Column of the device's status."""
     sample_rate: Frequency | None = None
@@ -235,8 +233,12 @@ class ColumnMap(Section):
         named |= {f"accelerometer {axis}": column for axis, column in self.force.items()}
         named |= {f"table angle {axis}": one for axis, one in self.table_angle.items()}
         named |= {f"table rate {axis}": one for axis, one in self.table_rate.items()}
-        named |= {"temperature": self.temperature, "second temperature": self.second_temperature}
-        named |= {"time": self.time or self.clock, "host time": self.host_time, "standstill": self.standstill}
+        named |= {
+            "temperature": self.temperature,
+            "time": self.time or self.clock,
+            "host time": self.host_time,
+            "standstill": self.standstill,
+        }
         named["marked"] = self.status
         return {name: column for name, column in named.items() if column is not None}
 

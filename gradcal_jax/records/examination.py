@@ -63,7 +63,7 @@ class Columns:
     sensor: str
     """Name of the sensor."""
     values: dict[str, Floats]
-    """`(rows,)`: "gyro x", "accelerometer x" (any axes), "temperature", "second temperature", "table angle x", "table
+    """`(rows,)`: "gyro x", "accelerometer x" (any axes), "temperature", "table angle x", "table
     rate x", "time" (absent: evenly sampled at `sample_rate_hz`), "host time", "marked", not 0 if the device marks its
     output as bad, and "standstill": truth values (counted up run by run) or numbers, negative while moving."""
     sample_rate_hz: float | None = None
@@ -105,7 +105,7 @@ class Columns:
         return axes, np.stack(list(own.values()), axis=-1) if own else None
 
 
-_OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature", "second temperature")
+_OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature")
 
 
 def at_rows_with_rates(columns: Columns) -> Columns:
@@ -170,13 +170,13 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
                 found.note("clock drift", f"the intervals of the time stamps are {ppm:+.0f} ppm longer than stated")
     (axes, gyros), (force_axes, forces) = kept.stacked("gyro"), kept.stacked("accelerometer")
     (angle_axes, angles), (rate_axes, table_rates) = kept.stacked("table angle"), kept.stacked("table rate")
-    of_unit = {name: kept.values[name][None] for name in _OF_SENSOR[2:] if name in kept.values}
+    warm = kept.values.get("temperature")
     log = Log(
         time_s=time,
         rate_rad_per_s=np.zeros((1, len(time), 0)) if gyros is None else gyros[None],
         units=(columns.sensor,),
         axes=axes,
-        temperature_c=of_unit.get("temperature"),
+        temperature_c=None if warm is None else warm[None],
         table_axes=angle_axes or rate_axes,
         table_angle_rad=angles,
         table_rate_rad_per_s=table_rates,
@@ -191,7 +191,6 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         provenance=columns.provenance,
         specific_force_m_per_s2=None if forces is None else forces[None],
         force_axes=force_axes,
-        second_temperature_c=of_unit.get("second temperature"),
     )
     return without_masked(log)
 

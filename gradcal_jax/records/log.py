@@ -259,15 +259,12 @@ class Log:
     force_axes: tuple[str, ...] = ()
     readings: AngleReadings | None = None
     """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
-    second_temperature_c: Annotated[
-        Floats | None, LogVariable("second_temperature", "unit time", "degC", "temperature of the second thermometer")
-    ] = None
 
     __repr__ = summary
 
     def summary_lines(self) -> list[str]:
         """Its contents in lines: length, units, channels, arrays, the numbers of rows by use, faults."""
-        fields = ("temperature_c", "second_temperature_c", "host_time_s", "table_angle_rad", "readings")
+        fields = ("temperature_c", "host_time_s", "table_angle_rad", "readings")
         has = [name for name in fields if getattr(self, name) is not None]
         counts = ", ".join(f"{count} {reason}" for reason, count in self.counts().items())
         return [
@@ -369,11 +366,9 @@ class Log:
                 digest.update(np.ascontiguousarray(values[self.unit_index(unit)]).tobytes())
         return digest.hexdigest()
 
-    def bridged_temperature(self, unit: str | int = 0, *, second: bool = False) -> Floats | None:
-        """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
-        None without any. [time]"""
-        columns = self.second_temperature_c if second else self.temperature_c
-        values: Floats | None = None if columns is None else columns[self.unit_index(unit)]
+    def bridged_temperature(self, unit: str | int = 0) -> Floats | None:
+        """A unit's temperature at every row, missing ones interpolated linearly; None without any. [time]"""
+        values: Floats | None = None if self.temperature_c is None else self.temperature_c[self.unit_index(unit)]
         if values is None or not (known := np.isfinite(values)).any():
             return None
         if known.all():
@@ -412,12 +407,10 @@ def without_masked(log: Log) -> Log:
     """
     if log.status is None or not log.status.any():
         return log
-    whole = Reason.MARKED | Reason.LEFT_OUT
     concerned = {
         "rate_rad_per_s": ~(Reason.MISSING_FORCE | Reason.SATURATED),
         "specific_force_m_per_s2": ~(Reason.MISSING_RATE | Reason.SATURATED),
-        "temperature_c": whole | Reason.MISSING_TEMPERATURE | Reason.FROZEN_TEMPERATURE,
-        "second_temperature_c": whole,
+        "temperature_c": Reason.MARKED | Reason.LEFT_OUT | Reason.MISSING_TEMPERATURE | Reason.FROZEN_TEMPERATURE,
     }
     changed = dict[str, Floats]()
     for name, reasons in concerned.items():

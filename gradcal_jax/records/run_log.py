@@ -229,7 +229,6 @@ def _joined(
         specific_force_m_per_s2=rows["force"][None] if has_forces else None,
         force_axes=("x", "y", "z") if has_forces else (),
         readings=AngleReadings.in_order(placed) if labels else None,
-        second_temperature_c=rows["second_c"][None] if np.isfinite(rows["second_c"]).any() else None,
     )
 
 
@@ -385,13 +384,11 @@ def _as_rows(recorded: Log, number: int, kind: np.dtype[Any]) -> Rows:
     rows = np.zeros(len(recorded.time_s), kind)
     rows["time_s"] = recorded.time_s
     rows["rate"] = recorded.rate_rad_per_s[number]
-    rows["force"] = rows["temperature_c"] = rows["second_c"] = np.nan
+    rows["force"] = rows["temperature_c"] = np.nan
     if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
         rows["force"] = recorded.specific_force_m_per_s2[number]
     if recorded.temperature_c is not None:
         rows["temperature_c"] = recorded.temperature_c[number]
-    if (second := recorded.bridged_temperature(number, second=True)) is not None:
-        rows["second_c"] = second
     rows["status"] = np.where(recorded.usable(number), 0, Reason.MARKED.value)
     steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
     rows["gap"] = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)

@@ -30,7 +30,7 @@ class SampleFile:
     that names the folder where it cannot be written."""
 
     def __init__(self, folder: Path, axes: int = 3, table_axes: int = 0) -> None:
-        columns: list[Any] = [(name, float) for name in ("time_s", "host_s", "temperature_c", "second_c")]
+        columns: list[Any] = [(name, float) for name in ("time_s", "host_s", "temperature_c")]
         columns += [("rate", float, (axes,)), ("force", float, (3,)), ("table_rate", float, (table_axes,))]
         columns += [(name, np.int64) for name in ("gap", "standstill", "mounting")]
         columns += [("status", np.uint16), ("disturbed", np.bool_), ("restarted", np.bool_)]
@@ -50,7 +50,6 @@ class SampleFile:
         rows["rate"] = np.radians(batch.gyro_dps)
         rows["force"] = batch.acceleration_g * STANDARD_GRAVITY
         rows["temperature_c"] = batch.temperature_c.mean(axis=1)
-        rows["second_c"] = batch.second_c
         rows["gap"] = batch.gap_before
         rows["status"] = np.where(batch.status != 0, Reason.MARKED.value, 0)
         rows["disturbed"] = batch.disturbed

@@ -16,12 +16,13 @@ from gradcal_jax.spec.sensor import HOST_CLOCK
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.spec.typical import (
     TypicalTerm,
+    class_row,
     filled,
     is_of_class,
+    other_term,
     sensor_grade,
     si_of,
     terms_of,
-    typical_g_sensitivity,
     unnamed_terms,
 )
 from gradcal_jax.tables.quantity import Quantity
@@ -30,16 +31,6 @@ EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, so the bias includes up to 15.04 deg/h of this rate: give "
     "[rig.site] latitude"
 )
-# Where rotation adds to the specific force that a gyro is sensitive to.
-BESIDE_ACCELEROMETERS: Final = TypicalTerm(
-    "g_sensitivity.lever_arm", "3 mm", "estimate, for gyros beside the accelerometers on one board"
-)
-_OFF_THE_AXES: Final = TypicalTerm(
-    "g_sensitivity.lever_arm",
-    "3 cm",
-    "estimate, for a sensor on a table, without accelerometers that could measure the lever arm",
-)
-
 # By how much rotation may raise χ² of a gyro that has some thousands of readings.
 _NOTICED: Final = 10.0
 
@@ -52,7 +43,8 @@ def absent_lever_arm(spec: Spec) -> TypicalTerm | None:
         return None
     if "lever_arm" in gyro.g_sensitivity.model_fields_set:
         return None
-    term = _OFF_THE_AXES if spec.sensor.accelerometer is None else BESIDE_ACCELEROMETERS
+    # Where rotation adds to the specific force that a gyro is sensitive to.
+    term = other_term("off_the_axes" if spec.sensor.accelerometer is None else "beside_accelerometers")
     arm = Quantity.of(units.parse(term.value, "length"), "m")
     felt = gyro.g_sensitivity.model_copy(update={"lever_arm": arm}).of_rotation
     more = felt**2 * _fourth_power_of_rates(spec) / float(gyro.angle_random_walk) ** 2
@@ -189,7 +181,7 @@ def attitude_sentences(spec: Spec) -> list[str]:
     names = [r.name for r in spec.requirement if r.quantity == "gyro_bias"]
     if gyro is None or gyro.g_sensitivity is not None or not names:
         return []
-    size = typical_g_sensitivity(sensor_grade(spec.sensor).name).removesuffix("/g")
+    size = class_row("sensor", sensor_grade(spec.sensor).name)["g_sensitivity"]["value"].removesuffix("/g")
     words = ", ".join(f"'{name}'" for name in names)
     return [
         f"{words}: the result holds for the attitudes of the calibration. In another attitude, g-sensitivity "

@@ -1,6 +1,6 @@
 """Bases over temperature and rate: powers of (x − centre)/scale, or B-splines where a table has `knots`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 from pydantic import Field
@@ -9,7 +9,7 @@ from gradcal_jax import formulas
 from gradcal_jax.formulas import Array
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.section import Section, read_by
+from gradcal_jax.tables.section import Section, by_key
 
 Degree = Annotated[q.Whole, Field(le=15)]
 SplineDegree = Annotated[int, Field(strict=True, ge=0, le=5)]
@@ -106,13 +106,7 @@ class RateSpline(SplineKeys):
     """Knots (rates at which pieces meet), increasing, with the first and last rate of the spline."""
 
 
-def _of_temperature(table: Mapping[str, object]) -> object:
-    return (TemperatureSpline if "knots" in table else TemperaturePolynomial).model_validate(table)
-
-
-def _of_rate(table: Mapping[str, object]) -> object:
-    return (RateSpline if "knots" in table else RatePolynomial).model_validate(table)
-
-
-TemperatureBasis = Annotated[TemperaturePolynomial | TemperatureSpline, read_by(_of_temperature)]
-RateBasis = Annotated[RatePolynomial | RateSpline, read_by(_of_rate)]
+TemperatureBasis = Annotated[
+    TemperaturePolynomial | TemperatureSpline, by_key({"knots": TemperatureSpline}, default=TemperaturePolynomial)
+]
+RateBasis = Annotated[RatePolynomial | RateSpline, by_key({"knots": RateSpline}, default=RatePolynomial)]

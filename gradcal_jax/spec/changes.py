@@ -92,7 +92,7 @@ def _put(tables: dict[str, Any], key: Key, value: object) -> None:
                 here = rows[part]
         else:
             message = "there is no such place: the key above is no table, or its list is shorter (entries count from 0)"
-            raise SpecError([Problem(key[: depth + 1], message)])
+            raise SpecError([Problem(key[: depth + 1], message, kind="unknown")])
 
 
 def differences(before: Any, after: Any, key: Key) -> Iterator[tuple[Key, Any, Any]]:

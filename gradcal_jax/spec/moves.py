@@ -14,8 +14,8 @@ table's `answer_time`, half of it before and half of it after turning.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Discriminator, Field, Tag
@@ -24,13 +24,14 @@ from gradcal_jax import formulas
 from gradcal_jax.spec.bench import Spacing, TableAxis
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Angle, Flag, Number, PositiveRate, Quantity, Text, Time
-from gradcal_jax.tables.section import Section, read_by, refuse, refuse_misspelt
+from gradcal_jax.tables.section import Section, by_key, refuse
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
 FULL_TURN: Final = 2.0 * math.pi
 _AGREEMENT: Final = 0.005
 _ROUNDING: Final = 1e-9
+_ALMOST: Final = 1.0 + 1e-6
 # Peak acceleration times ramp, over peak rate.
 _STEEPNESS: Final = {"cosine ramps": math.pi / 2.0, "linear ramps": 1.0}
 
@@ -99,9 +100,9 @@ class _Move(Section):
     def reading(self) -> dict[str, Any]:
         """The readings, as fields of a `ResolvedMove`."""
         every = self.read_every
-        if not isinstance(every, Quantity):
-            return {"read_end": every is None}
-        return {"read_end": math.isinf(every), "read_every": float(every)}
+        if isinstance(every, Quantity):
+            return {"read_end": math.isinf(every), "read_every": float(every)}
+        return {"read_end": every is None}
 
 
 class Rest(_Move):
@@ -164,38 +165,44 @@ class Turn(_Move):
     def resolve(self, axis: TableAxis, answer_time: float) -> ResolvedMove:
         """The turn in SI; by hand with the operator's time (s) to read the request and to answer. Raises `SpecError`,
         keys relative to the move."""
-        if self.shape == "hand":
-            return self._by_hand(answer_time)
-        shape = self.shape or "cosine ramps"
-        size, least = abs(float(self.turn)), _STEEPNESS[shape] / float(axis.max_acceleration)
-        peak = axis.max_rate if self.peak_rate is None else self.peak_rate
-        if peak > axis.max_rate * (1.0 + 1e-6):
-            refuse(Problem(("peak_rate",), f'exceeds max_rate of axis "{axis.name}", {axis.max_rate}', str(peak)))
-        if self.duration is not None:
-            return self._in_time(shape, float(peak), float(self.duration))
-        # Without a flat part θ = A·ramp, ramp = least·A.
-        reached = math.sqrt(size / least)
-        if self.shape is not None and self.peak_rate is not None and peak > reached * (1.0 + _ROUNDING):
-            message = f"cannot be reached within {self.turn} at the table's max_acceleration; expected at most "
-            refuse(Problem(("peak_rate",), f"{message}{math.degrees(reached):.4g} deg/s", str(peak)))
-        return self._resolved(shape, min(float(peak), reached), least * min(float(peak), reached))
+        move, problems = self._by_hand(answer_time) if self.shape == "hand" else self._ramped(axis), list[Problem]()
+        of = f'of axis "{axis.name}"'
+        if (fastest := max(move.fastest, float(self.peak_rate or 0.0))) > axis.max_rate * _ALMOST:
+            message = f"reaches {math.degrees(fastest):.5g} deg/s, which exceeds max_rate {of}, {axis.max_rate}"
+            key = () if self.peak_rate is None else ("peak_rate",)
+            problems.append(Problem(key, message, str(self.peak_rate or move.words)))
+        if move.peak_acceleration > axis.max_acceleration * _ALMOST:
+            message = f"accelerates at {math.degrees(move.peak_acceleration):.5g} deg/s^2, which exceeds "
+            problems.append(Problem((), f"{message}max_acceleration {of}, {axis.max_acceleration}", move.words))
+        refuse(*problems)
+        return move
 
-    def _in_time(self, shape: str, peak: float, duration: float) -> ResolvedMove:
-        shortest = abs(float(self.turn)) / peak
-        ramp = duration - shortest
-        if not 0.0 < ramp <= 0.5 * duration * (1.0 + _AGREEMENT):
-            message = (
-                f"contradicts turn and peak_rate, which need more than {shortest:.4g} s (without ramps) and at most "
-                f"{2.0 * shortest:.4g} s (if the turn consists of ramps only)"
-            )
-            refuse(Problem(("duration",), message, str(self.duration)))
-        return replace(self._resolved(shape, peak, min(ramp, 0.5 * duration)), duration=duration)
-
-    def _resolved(self, shape: str, peak: float, ramp: float) -> ResolvedMove:
-        angle = float(self.turn)
+    def _ramped(self, axis: TableAxis) -> ResolvedMove:
+        shape, angle = self.shape or "cosine ramps", float(self.turn)
+        peak = float(axis.max_rate if self.peak_rate is None else self.peak_rate)
+        if self.duration is None:
+            # Without a flat part θ = A·ramp, ramp = least·A.
+            least = _STEEPNESS[shape] / float(axis.max_acceleration)
+            reached = math.sqrt(abs(angle) / least)
+            if self.shape is not None and self.peak_rate is not None and peak > reached * (1.0 + _ROUNDING):
+                message = f"cannot be reached within {self.turn} at the table's max_acceleration; expected at most "
+                refuse(Problem(("peak_rate",), f"{message}{math.degrees(reached):.4g} deg/s", str(self.peak_rate)))
+            peak = min(peak, reached)
+            ramp = least * peak
+            duration = abs(angle) / peak + ramp
+        else:
+            duration, shortest = float(self.duration), abs(angle) / peak
+            ramp = duration - shortest
+            if not 0.0 < ramp <= 0.5 * duration * (1.0 + _AGREEMENT):
+                message = (
+                    f"contradicts turn and peak_rate, which need more than {shortest:.4g} s (without ramps) and at "
+                    f"most {2.0 * shortest:.4g} s (if the turn consists of ramps only)"
+                )
+                refuse(Problem(("duration",), message, str(self.duration)))
+            ramp = min(ramp, 0.5 * duration)
         return ResolvedMove(
             shape,
-            abs(angle) / peak + ramp,
+            duration,
             angle=angle,
             peak_rate=math.copysign(peak, angle),
             ramp=ramp,
@@ -232,18 +239,9 @@ class Pose(Section):
     """Duration of the rest after the moves."""
 
 
-def _choose(table: Mapping[str, object]) -> object:
-    """The rest, turn or pose of a table. Raises for one that is none of them."""
-    for key, kind in (("pose", Pose), ("rest", Rest)):
-        if key in table:
-            return kind.model_validate(table)
-    if "turn" not in table:
-        refuse_misspelt(table, ["rest", "turn", "pose"])
-        raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-    return Turn.model_validate(table)
-
-
-Move = Annotated[Rest | Turn | Pose, read_by(_choose)]
+# A pose may have a rest.
+_EXPECTED: Final = 'a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")'
+Move = Annotated[Rest | Turn | Pose, by_key({"pose": Pose, "rest": Rest, "turn": Turn}, _EXPECTED)]
 
 
 def _uneven_maxima(unevenness: float) -> tuple[float, float]:

@@ -9,16 +9,17 @@ The temperature of a gradient plan is written in one of two ways:
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from gradcal_jax.spec.bench import Spacing
+from gradcal_jax.spec.moves import Move
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.section import Section, read_by, refuse_misspelt
+from gradcal_jax.tables.section import Section, by_key, chosen_by
 
 
 class SoakItem(Section):
@@ -52,19 +53,11 @@ class StepItem(Section):
     """Whether the readings taken during the step are part of the data."""
 
 
-_ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
-
-
-def _choose_item(item: Mapping[str, object]) -> object:
-    kinds = [key for key in _ITEMS if key in item]
-    if len(kinds) == 1:
-        return _ITEMS[kinds[0]].model_validate(item)
-    if not kinds:
-        refuse_misspelt(item, _ITEMS)
-    raise ValueError("expected one of { soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }")
-
-
-ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
+_EXPECTED = "{ soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }"
+ProgrammeItem = Annotated[
+    SoakItem | RampItem | StepItem,
+    by_key({"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}, _EXPECTED),
+]
 
 
 class OtherAxes(Section):
@@ -76,9 +69,25 @@ class OtherAxes(Section):
     """Time between readings of this axis, or "rest" for one at the end; absent: it is not read."""
 
 
-class ChamberCourse(Section):
-    """The temperature of the chamber over time: a ramp, or a programme."""
+class MotionCycle(Section):
+    """The motion of the table that is repeated."""
 
+    moves: Annotated[tuple[Move, ...], Field(min_length=1, max_length=2000)]
+    """Rests, turns and poses, in the order in which they are made."""
+    start: dict[q.Text, q.Angle] = Field(default_factory=dict)
+    """Angles of the axes at the start of the cycle, by name; absent: zero."""
+    other_axes: OtherAxes | None = None
+    """Time for which the table serves other sensors at the end of each cycle; only for a table with standing =
+    "read"."""
+
+
+class MotionPlan(Section):
+    """The plan of an IMU. If there are several mountings, the mounting changes to the next one before each further part
+    of the programme whose data are used. If the programme is a single ramp, it is repeated for each mounting; in
+    between, the chamber returns to the start of the ramp."""
+
+    method: Literal["gradient"] = "gradient"
+    """The method of the plan."""
     temperature: tuple[q.Temperature, q.Temperature] | None = None
     """[start, end] of the ramp."""
     gradient: q.PositiveTemperatureSlope | None = None
@@ -87,24 +96,30 @@ class ChamberCourse(Section):
     """Waiting time at the start temperature, whose readings are not part of the data."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
     """Soaks, ramps and steps in their order, instead of the keys above."""
+    cycle: MotionCycle | None = None
+    """Motion that is repeated; absent: the table is at rest, and each axis is read at intervals of its `read_every`."""
+    before: Annotated[tuple[q.Temperature, ...], Field(max_length=100)] = ()
+    """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
+    the initial state of a hysteresis. Absent: the initial state is unknown."""
 
     def _problems(self) -> Iterator[Problem]:
-        if self.programme is not None:
-            for key in ("temperature", "gradient", "soak"):
-                if getattr(self, key) is not None:
-                    yield Problem((key,), 'cannot be combined with "programme"')
-            first = self.programme[0]
-            if not isinstance(first, SoakItem) or first.at is None:
-                message = 'the first item must be a soak with a temperature: { soak = "1 h", at = "-30 degC" }'
-                yield Problem(("programme", 0), message)
-            elif not any(item.used for item in self.programme):
-                yield Problem(("programme",), "the plan would have no data: set used = true in at least one item")
+        of_ramp = {key: getattr(self, key) for key in ("temperature", "gradient", "soak")}
+        if self.programme is None:
+            for key in ("temperature", "gradient"):
+                if of_ramp[key] is None:
+                    yield Problem((key,), 'this key is missing (or give a "programme")', kind="missing")
+            if self.temperature is not None and self.temperature[0] == self.temperature[1]:
+                yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
             return
-        for key in ("temperature", "gradient"):
-            if getattr(self, key) is None:
-                yield Problem((key,), 'this key is missing (or give a "programme")', kind="missing")
-        if self.temperature is not None and self.temperature[0] == self.temperature[1]:
-            yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
+        for key, value in of_ramp.items():
+            if value is not None:
+                yield Problem((key,), 'cannot be combined with "programme"')
+        first = self.programme[0]
+        if not isinstance(first, SoakItem) or first.at is None:
+            message = 'the first item must be a soak with a temperature: { soak = "1 h", at = "-30 degC" }'
+            yield Problem(("programme", 0), message)
+        elif not any(item.used for item in self.programme):
+            yield Problem(("programme",), "the plan would have no data: set used = true in at least one item")
 
 
 class StandardPlan(Section):
@@ -131,3 +146,9 @@ class StandardPlan(Section):
             if before == after:
                 message = "repeats the previous temperature; lengthen the integration instead"
                 yield Problem(("temperatures", i), message, after.text)
+
+
+AnyPlan = Annotated[
+    MotionPlan | StandardPlan,
+    chosen_by("method", {"gradient": MotionPlan, "standard": StandardPlan}, default="gradient"),
+]

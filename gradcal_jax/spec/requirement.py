@@ -1,23 +1,17 @@
 """`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal, cast, get_args
+from typing import Annotated, Any, Final, Literal, cast, get_args
 
 from pydantic import Field, Strict, model_validator
 
 from gradcal_jax.spec.bases import increasing
-from gradcal_jax.spec.mission import Missions
 from gradcal_jax.tables import quantity as q
-from gradcal_jax.tables.problems import Problem, one_of
+from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import OneOrMore, Section, chosen_by
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
-
-
-class _OfRuns(Section):
-    of: Literal["any run", "this run"] = "any run"
-    """Whether the turn-on bias of another power-on counts: with "any run" it does, with "this run" it does not."""
 
 
 Over = Literal["mean", "max", "rms"]
@@ -25,16 +19,18 @@ Elements = Literal["all", "worst", "x", "y", "z"]
 
 
 class _OfElements(Section):
-    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
-
     name: q.Text
     """Name of the requirement, used in verdicts and in [design]; absent: its quantity in words."""
+    quantity: Any
+    """Quantity that the requirement limits."""
     axis: Elements = "worst"
     """One axis, the worst of all axes, or the root mean square over all axes."""
     target: Any = None
     """Limit on the error; absent: there is no verdict."""
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
+    temperature: tuple[q.Temperature, q.Temperature]
+    """Lowest and highest temperature of the requirement."""
 
     @model_validator(mode="before")
     @classmethod
@@ -46,19 +42,10 @@ class _OfElements(Section):
         return {"name": str(quantity).replace("_", " "), **table} if isinstance(quantity, str) else table
 
     def _problems(self) -> Iterator[Problem]:
-        if self.axis not in self.ELEMENTS:
-            yield Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis)
-
-
-class _InARange(_OfElements):
-    temperature: tuple[q.Temperature, q.Temperature]
-    """Lowest and highest temperature of the requirement."""
-
-    def _problems(self) -> Iterator[Problem]:
         yield from increasing(self.temperature, "temperature")
 
 
-class _OverTemperature(_InARange):
+class _OverTemperature(_OfElements):
     """A requirement over temperature: a statistic over temperature for each axis, and then a combination of the
     axes."""
 
@@ -66,8 +53,6 @@ class _OverTemperature(_InARange):
     """Number of temperatures at which the error is evaluated, ends included."""
     statistic: Over = "mean"
     """Statistic over temperature of the standard deviation of each axis."""
-    quantity: Any
-    """Quantity that the requirement limits."""
 
 
 class _OnAPath(Section):
@@ -97,18 +82,22 @@ class _OnAPath(Section):
         return tuple(dict.fromkeys((sign, end) for sign in signs for end in ends[sign]))
 
 
-class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
+class _BiasRequirement(_OverTemperature, _OnAPath):
+    of: Literal["any run", "this run"] = "any run"
+    """Whether the turn-on bias of another power-on counts: with "any run" it does, with "this run" it does not."""
+
+
+class GyroBiasRequirement(_BiasRequirement):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
     target: q.PositiveRate | None = None
 
 
-class GyroScaleFactorRequirement(_InARange, _OnAPath):
+class GyroScaleFactorRequirement(_OfElements, _OnAPath):
     """Scale factor of the gyros over ranges of temperature and rate."""
 
     quantity: Literal["gyro_scale_factor"]
-    """Quantity that the requirement limits."""
     rate: tuple[q.Rate, q.Rate]
     """Lowest and highest rate of the requirement."""
     grid: tuple[Points, Points] = (101, 121)
@@ -142,7 +131,7 @@ class SensitivityRequirement(_OverTemperature):
     target: q.PositiveAccelerationSensitivity | None = None
 
 
-class AccelerometerBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
+class AccelerometerBiasRequirement(_BiasRequirement):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
@@ -163,37 +152,6 @@ class SecondOrderRequirement(_OverTemperature):
     target: q.Positive[q.SecondOrder] | None = None
 
 
-class MissionHeadingRequirement(_OfElements):
-    """Error of the integrated rate of a gyro at the end of a `mission`. For
-    several missions, the root mean square or the maximum counts. `target` limits only the contribution of the
-    calibration, because no calibration removes the sensor's own noise."""
-
-    quantity: Literal["mission_heading"]
-    """Quantity that the requirement limits."""
-    mission: Missions
-    """Tables of rate and temperature over time."""
-    statistic: Literal["rms", "max"] = "rms"
-    """Statistic over several missions."""
-    target: q.PositiveAngle | None = None
-
-    @property
-    def grid(self) -> tuple[int]:
-        """Number of missions."""
-        return (len(self.mission),)
-
-    @property
-    def temperature(self) -> tuple[q.Quantity, q.Quantity]:
-        """The coldest and the warmest of all missions."""
-        every = [t for mission in self.mission for t in mission.rows.temperature]
-        return q.Quantity.of(min(every), "degC"), q.Quantity.of(max(every), "degC")
-
-    @property
-    def rate(self) -> tuple[q.Quantity, q.Quantity]:
-        """The least and the largest rate of all missions."""
-        every = [w for mission in self.mission for w in mission.rows.rate]
-        return q.Quantity.of(min(every), "deg/s"), q.Quantity.of(max(every), "deg/s")
-
-
 Requirement = (
     GyroBiasRequirement
     | GyroScaleFactorRequirement
@@ -202,7 +160,6 @@ Requirement = (
     | AccelerometerBiasRequirement
     | AccelerometerScaleFactorRequirement
     | SecondOrderRequirement
-    | MissionHeadingRequirement
 )
 _CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
 _One = Annotated[Requirement, chosen_by("quantity", _CLASSES)]

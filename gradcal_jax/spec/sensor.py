@@ -305,8 +305,6 @@ class Sensor(Section):
     """Standard deviation of the constant difference between the temperature of the dies and the measured one."""
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the delay of the dies' temperature relative to the measured one."""
-    second_thermometer: path_terms.SecondThermometer | None = None
-    """A second thermometer, required for terms by "T2 - T"; its column in logs is `second_temperature`."""
     grade: Grade | None = None
     """Class whose typical figures hold for all error terms that the spec does not state; absent: the class follows from
     the drift or, without drift, from the angle random walk, and its figures count only in verdicts."""
@@ -340,13 +338,5 @@ class Sensor(Section):
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
             if triad is not None and len(set(triad.axes)) < len(triad.axes):
                 yield Problem((name, "axes"), "must not name an axis twice", list(triad.axes))
-            if triad is None or self.second_thermometer is not None:
-                continue
-            if any(path_terms.DIFFERENCE in one.factors for one in triad.term):
-                message = (
-                    '"T2 - T" needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the '
-                    "lag is used in predictions)"
-                )
-                yield Problem((name, "term"), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")

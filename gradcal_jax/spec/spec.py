@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec_sections import FORMAT, Spec
 from gradcal_jax.tables.document import model_of, read_text, read_toml
 
@@ -21,16 +20,13 @@ def expect_spec(value: object) -> Spec:
 def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 
-    Names of mission files are seen from the spec's folder. Errors: `SpecError` that lists everything wrong with it,
-    each with its key and what was expected.
+    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
     """
-    with missions_from(Path(path).parent):
-        return parse_spec(read_text(path), str(path))
+    return parse_spec(read_text(path), str(path))
 
 
 def parse_spec(text: str, source: str = "") -> Spec:
-    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages. Names of
-    mission files are seen from the working directory.
+    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages.
 
     Errors: `SpecError`, as `read_spec`.
     """

@@ -10,10 +10,9 @@ from pydantic import model_validator
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.checks import problems_between
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.motion_plan import AnyPlan, MotionPlan, PlanSchedule, plan_schedule
-from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.plan import AnyPlan, MotionPlan, StandardPlan
 from gradcal_jax.spec.requirement import Requirements
-from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
+from gradcal_jax.spec.schedule import PlanSchedule, StandardSchedule, plan_schedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
 from gradcal_jax.spec.typical import with_classes
 from gradcal_jax.tables.document import TitledFile

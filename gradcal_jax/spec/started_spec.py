@@ -10,8 +10,7 @@ from typing import Any, Final, cast
 from gradcal_jax import units
 from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.absent import BESIDE_ACCELEROMETERS
-from gradcal_jax.spec.typical import si_of, terms_of, typical_g_sensitivity
+from gradcal_jax.spec.typical import class_row, other_term, si_of, terms_of
 
 Answers = Mapping[str, str]
 Known = Mapping[str, tuple[Any, ...]]
@@ -55,8 +54,8 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         "turn_on": answers["turn_on"].strip() if known["turn_on"] else "",
         "accuracy": next(term.value for term in terms_of("table", table) if term.key == "mounting_accuracy"),
         "misalignment": misalignment,
-        "g_sensitivity": typical_g_sensitivity(grade),
-        "lever_arm": BESIDE_ACCELEROMETERS.value,
+        "g_sensitivity": class_row("sensor", grade)["g_sensitivity"]["value"],
+        "lever_arm": other_term("beside_accelerometers").value,
         "targets": [*_parts(answers["targets"]), *_parts(answers["force_targets"])],
         "temperature_error": "",
         "bias_prior": "",

@@ -29,20 +29,11 @@ class Play(Section, Generic[Slope]):
 PlayOfScaleFactor = Play[q.ScaleFactorSlope]
 
 
-class SecondThermometer(Section):
-    """A second thermometer, for example on the case, in addition to the first one (at the dies)."""
-
-    lag: q.Time
-    """First-order lag of the second thermometer's temperature behind that of the first; used in predictions only,
-    because logs have its readings."""
-
-
 SLOPE: Final = "dT/dt"
-DIFFERENCE: Final = "T2 - T"
-Factor = Annotated[str, Field(pattern=r"^((rate|force) [xyz]|\|(rate|force) [xyz]\||dT/dt|T2 - T)$")]
+Factor = Annotated[str, Field(pattern=r"^((rate|force) [xyz]|\|(rate|force) [xyz]\||dT/dt)$")]
 # SI units of an error by dT/dt, which have shorter names than a quotient.
 _BY_SLOPE: Final = {"rad/s": "rad/K", "m/s^2": "m/s/K", "1": "s/K"}
-_OF_FACTOR: Final = {"rate": "(rad/s)", "force": "(m/s^2)", "dT/dt": "(K/s)", "T2": "K"}
+_OF_FACTOR: Final = {"rate": "(rad/s)", "force": "(m/s^2)", "dT/dt": "(K/s)"}
 
 
 class GeneralTerm(Section):
@@ -54,8 +45,7 @@ class GeneralTerm(Section):
     target: Literal["bias", "scale_factor"] = "bias"
     """What the error changes: the bias, or the scale factor, which multiplies the channel's own rate or force."""
     factors: tuple[Factor, ...] = ()
-    """Components of the rate and of the specific force such as "rate x" or "|force z|", "dT/dt", or "T2 - T" (what the
-    second thermometer shows less the first)."""
+    """Components of the rate and of the specific force such as "rate x" or "|force z|", or "dT/dt"."""
     class_name: q.Text | None = None
     """Name of the class, in the place of `factors`; `prior` is then in the unit of the target."""
     prior: q.Text
@@ -79,8 +69,6 @@ class GeneralTerm(Section):
     def _problems(self) -> Iterator[Problem]:
         if (self.class_name is None) == (not self.factors):
             yield Problem((), "give either the factors of a product, or the name of a class")
-        if self.factors.count(DIFFERENCE) > 1:
-            yield Problem(("factors",), 'may contain "T2 - T" once', self.factors)
 
 
 def problems_of_terms(terms: Iterable[GeneralTerm], of_bias: str) -> Iterator[Problem]:

@@ -46,19 +46,6 @@ class TypicalTerm(NamedTuple):
         return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
 
 
-# Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
-_NORMAL_GRAVITY: Final = TypicalTerm(
-    "gravity_accuracy",
-    "250 ug",
-    "gravity is not stated; this figure is the error of normal gravity at sea level, for heights of up to 1000 m",
-)
-_UNKNOWN_LATITUDE: Final = TypicalTerm(
-    "latitude",
-    "unknown",
-    "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated",
-)
-
-
 def _words(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"order {v}" if k == "order" else str(v) for k, v in cast("dict[str, Any]", value).items())
@@ -87,12 +74,12 @@ def class_row(kind: str, grade: str) -> dict[str, Any]:
 def terms_of(kind: str, grade: str, part: str = "term") -> list[TypicalTerm]:
     """Every term of a class's typical error budget, its key within `kind`; of the `part` "path", those that depend on
     the path of temperature."""
-    return [TypicalTerm(term["key"], term["value"], term["source"]) for term in class_row(kind, grade)[part]]
+    return [TypicalTerm(**term) for term in class_row(kind, grade)[part]]
 
 
-def typical_g_sensitivity(grade: str) -> str:
-    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
-    return class_row("sensor", grade)["g_sensitivity"]["value"]
+def other_term(name: str) -> TypicalTerm:
+    """A term that does not depend on a class."""
+    return TypicalTerm(**class_table()["other"][name])
 
 
 # A prediction asks for the class a dozen times, of the same few texts.
@@ -162,44 +149,47 @@ def is_of_class(spec: "Spec", key: str) -> bool:
 
 def unnamed_terms(spec: "Spec") -> Iterator[TypicalTerm]:
     """Every term of the classes that a file does not name, with its whole key, whatever the plan."""
+    for prefix, section, terms in _tables(spec):
+        for term in terms:
+            if term.key not in section.model_fields_set:
+                yield term._replace(key=f"{prefix}.{term.key}")
+
+
+def _tables(spec: "Spec") -> Iterator[tuple[str, Section, list[TypicalTerm]]]:
+    """The tables of a spec, each with its key, and the terms of the classes that belong into it."""
     sensor, table, site, alone = spec.sensor, spec.rig.table, spec.rig.site, spec.is_one_axis
     of_sensor = terms_of("sensor", sensor_grade(sensor).name)
     of_table = {term.key: term for term in terms_of("table", table_grade(spec).name)}
-    yield from _unnamed(sensor, "sensor", [term for term in of_sensor if term.key in Sensor.model_fields])
+    yield "sensor", sensor, [term for term in of_sensor if term.key in Sensor.model_fields]
     if (gyro := sensor.gyro) is not None:
+        of_gyro = [term for term in of_sensor if term.key not in Sensor.model_fields]
         # A temperature error acts through the slopes of the estimated maps.
         fixed = {f"{name}_slope" for name in ("bias", "scale_factor") if getattr(gyro, name) is None}
-        for term in _unnamed(gyro, "sensor.gyro", [term for term in of_sensor if term.key not in Sensor.model_fields]):
-            if term.key.endswith("temperature_error"):
-                term = term._replace(value={key: value for key, value in term.value.items() if key not in fixed})
-            yield term
+        for k, term in enumerate(of_gyro):
+            if term.key == "temperature_error":
+                value = {key: value for key, value in term.value.items() if key not in fixed}
+                of_gyro[k] = term._replace(value=value)
+        yield "sensor.gyro", gyro, of_gyro
     if (force := sensor.accelerometer) is not None:
-        of_force = terms_of("accelerometer", sensor_grade(sensor, "accelerometer").name)
-        yield from _unnamed(force, "sensor.accelerometer", of_force)
-        yield from _unnamed(site, "rig.site", [of_table["gravity_accuracy"] if site.gravity else _NORMAL_GRAVITY])
+        grade = sensor_grade(sensor, "accelerometer").name
+        yield "sensor.accelerometer", force, terms_of("accelerometer", grade)
+        gravity = of_table["gravity_accuracy"] if site.gravity else other_term("gravity_accuracy")
+        yield "rig.site", site, [gravity]
     if isinstance(spec.plan, StandardPlan):
-        yield from _unnamed(table, "rig.table", [of_table["rate_accuracy"]])
+        yield "rig.table", table, [of_table["rate_accuracy"]]
     if alone:
         accuracy = of_table["mounting_accuracy"]._replace(key="accuracy")
-        yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [accuracy])
-        yield from _unnamed(site, "rig.site", [_UNKNOWN_LATITUDE])
+        yield "rig.table.mounting[0]", table.mounting[0], [accuracy]
+        yield "rig.site", site, [other_term("latitude")]
     else:
-        yield from _unnamed(table, "rig.table", [of_table["tilt"], of_table["azimuth"]])
-    prefix = "angle."
-    of_angle = [t._replace(key=t.key.removeprefix(prefix)) for t in of_table.values() if t.key.startswith(prefix)]
+        yield "rig.table", table, [of_table["tilt"], of_table["azimuth"]]
+    angle = [t._replace(key=key.removeprefix("angle.")) for key, t in of_table.items() if key.startswith("angle.")]
     for k, axis in enumerate(table.axis):
         if k < len(table.axis) - 1:
-            yield from _unnamed(axis, f"rig.table.axis[{k}]", [of_table["orthogonality"]])
+            yield f"rig.table.axis[{k}]", axis, [of_table["orthogonality"]]
         if not table.by_gravity:
-            terms = [term for term in of_angle if alone or term.key != "backlash"]
-            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", terms)
-
-
-def _unnamed(section: Section, prefix: str, terms: Iterable[TypicalTerm]) -> Iterator[TypicalTerm]:
-    """The terms that a table of the file does not name, with their whole keys."""
-    for term in terms:
-        if term.key not in section.model_fields_set:
-            yield term._replace(key=f"{prefix}.{term.key}")
+            of_axis = [term for term in angle if alone or term.key != "backlash"]
+            yield f"rig.table.axis[{k}].angle", axis.angle, of_axis
 
 
 def with_classes(spec: "Spec") -> "Spec":

@@ -39,10 +39,15 @@ FORMAT: Final = "gradcal-sweep-results/1"
 Record = dict[str, Any]
 Executors = Callable[[], Executor]
 """Gives the executor of the tasks; a new one after a worker was killed."""
-_DURATIONS: Final = {
-    "duration": "the whole plan",
-    "soak": "the part of the plan at constant temperature",
-    "motion": "the part of the plan in which the temperature changes",
+# What a record has beside the requirements, with its unit: the last three of optimised plans.
+_VARIABLES: Final = {
+    "duration": ("s", "the whole plan"),
+    "soak": ("s", "the part of the plan at constant temperature"),
+    "motion": ("s", "the part of the plan in which the temperature changes"),
+    "failure": ("", "reason why the point has no result; empty if it has a result"),
+    "convergence": ("", "report of the optimiser"),
+    "optimised_spec": ("", "gradcal-spec/1 with the optimised plan"),
+    "objective_before": ("", "the objective of the plan in the spec before optimisation, in its unit"),
 }
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox")
 _TRIES: Final = 3
@@ -144,21 +149,6 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
         start().shutdown(kill_workers=True)
 
 
-@contextmanager
-def cluster_workers(address: str, timeout_s: float = 20.0) -> Iterator[Executors]:
-    """Workers of a Dask cluster (extra `cluster`). Errors: `ValueError` where no scheduler answers."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("install gradcal_jax[cluster] on this machine and on the cluster's workers") from None
-    try:
-        client = Client(address, timeout=timeout_s, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ValueError(f"no Dask scheduler answers at {address} ({error})") from None
-    with client:
-        yield lambda: client.get_executor(pure=False, retries=_TRIES - 1)
-
-
 def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: int) -> Iterator[tuple[int, Record]]:
     """The records of `tasks` as they are done, at most `most` at a time. The work of a killed worker is repeated; what
     kills several workers is left out."""
@@ -229,8 +219,9 @@ def sweep(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> xarray.Dataset:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`; a call after an interruption
-    resumes where it stopped. `workers`: executors, by default processes of this machine; `most`: how many points are
-    waiting at a time. Errors: `ValueError` where `output` exists, or every point fails; `SweepIncomplete`."""
+    resumes where it stopped. `workers`: gives an executor, such as that of a Dask client, by default processes of this
+    machine; `most`: how many points are waiting at a time. Errors: `ValueError` where `output` exists, or every point
+    fails; `SweepIncomplete`."""
     output = Path(output)
     if output.exists():
         raise ValueError(f"{output} exists; choose another output, or delete it")
@@ -277,33 +268,25 @@ def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xar
         column = np.array([*map(str, axis.listed())] if words else numbers, dtype=object if words else float)
         coordinates[name] = ((name,), column, attributes)
 
-    def add(name: str, key: str, attributes: dict[str, str], *, text: bool = False) -> None:
+    def add(name: str, key: str, **attributes: str) -> None:
         column = [record.get(key) for record in records]
+        text = any(isinstance(value, str) for value in column)
         values = np.array([v or "" for v in column] if text else column, dtype=object if text else float)
         variables[name] = (dims, values.reshape(shape), attributes)
 
     for k, requirement in enumerate(job.base.requirement):
-        name = variable_name(requirement.name)
+        name, quantity = variable_name(requirement.name), requirement.quantity
         name = f"{name}_{k}" if f"{name}_verdict" in variables else name
-        same = {"units": UNIT_OF[requirement.quantity][0], "requirement": requirement.name}
+        same = {"units": UNIT_OF[quantity][0], "requirement": requirement.name, "verdict": f"{name}_verdict"}
         for statistic in STATISTICS:
-            if statistic != "mean of max" or requirement.quantity == "gyro_scale_factor":
-                quantity = requirement.quantity.replace("_", " ")
-                what = f"{requirement.name}: {statistic} of the residual {quantity}, 1 sigma"
+            if statistic != "mean of max" or quantity == "gyro_scale_factor":
+                what = f"{requirement.name}: {statistic} of the residual {quantity.replace('_', ' ')}, 1 sigma"
                 own = {"statistic": statistic, "decisive": "yes" if statistic == requirement.statistic else "no"}
-                own |= {"long_name": what, "verdict": f"{name}_verdict"}
-                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", same | own)
-        what = f"{requirement.name}: verdict, if there is a target"
-        add(f"{name}_verdict", f"{k} verdict", {"long_name": what}, text=True)
-    for key, what in _DURATIONS.items():
-        add(key, key, {"units": "s", "long_name": what})
-    reason = "reason why the point has no result; empty if it has a result"
-    add("failure", "failure", {"long_name": reason}, text=True)
-    if job.file.do == "optimise":
-        add("convergence", "convergence", {"long_name": "report of the optimiser"}, text=True)
-        add("optimised_spec", "optimised_spec", {"long_name": "gradcal-spec/1 with the optimised plan"}, text=True)
-        before = "the objective of the plan in the spec before optimisation, in its unit"
-        add("objective_before", "objective_before", {"long_name": before})
+                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own, long_name=what)
+        add(f"{name}_verdict", f"{k} verdict", long_name=f"{requirement.name}: verdict, if there is a target")
+    for key, (unit, what) in _VARIABLES.items():
+        if any(key in record for record in records):
+            add(key, key, long_name=what, **({"units": unit} if unit else {}))
     failed = sum(bool(record["failure"]) for record in records)
     attributes = {
         "format": FORMAT,

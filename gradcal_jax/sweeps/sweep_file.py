@@ -3,30 +3,28 @@
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from decimal import Context, Decimal
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, cast
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax import units
-from gradcal_jax.recipe.recipe import spec_of_either
+from gradcal_jax.recipe.recipe import spec_in
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.changes import changed, split_key, tables_of
-from gradcal_jax.spec.mission import missions_from
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
-from gradcal_jax.tables.document import TitledFile, parsed, read_text, read_toml
-from gradcal_jax.tables.problems import Problem, SpecError, repeated_names
+from gradcal_jax.tables.document import TitledFile, parsed, read_text
+from gradcal_jax.tables.problems import Problem, SpecError, repeated_names, split_key
 from gradcal_jax.tables.quantity import Text
-from gradcal_jax.tables.section import Section, refuse
+from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-sweep/1"
 MOST_POINTS: Final = 1_000_000
-_DIGITS: Final = Context(prec=12)
 
 End = str | float | int
 
@@ -53,34 +51,34 @@ class SweptAxis(Section):
     spacing: Literal["linear", "logarithmic"] = "linear"
     """Spacing: linear, or logarithmic."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "SweptAxis":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
-            problems.append(Problem(("key",), 'give exactly one of "key", "keys" and "section"', kind="missing"))
-        if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
-            problems.append(
-                Problem(("values",), 'must be names of presets or paths of specs if "section" is set', self.values)
-            )
+            yield Problem(("key",), 'give exactly one of "key", "keys" and "section"', kind="missing")
         for text in self.changes:
             try:
                 split_key(text)
             except ValueError as error:
-                problems.append(Problem(("key",), str(error), text))
-        limits = [name for name in ("start", "stop", "count") if getattr(self, name) is not None]
+                yield Problem(("key",), str(error), text)
+        spaced = {name: getattr(self, name) for name in ("start", "stop", "count")}
         if self.values is not None:
-            problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
-        elif None in (self.start, self.stop, self.count):
-            problems.append(Problem((), 'expected either "values", or "start", "stop" and "count"', kind="missing"))
-        refuse(*problems)
-        if self.values is None:
+            for name, value in spaced.items():
+                if value is not None:
+                    yield Problem((name,), 'cannot be combined with "values"', value)
+        elif None in spaced.values() and self.section is None:
+            yield Problem((), 'expected either "values", or "start", "stop" and "count"', kind="missing")
+        elif self.section is None:
             try:
-                self.ends()
-            except SpecError:
-                raise
+                low, high = self._ends()
             except ValueError as error:
-                refuse(Problem((), str(error)))
-        return self
+                yield Problem((), str(error))
+                return
+            if low == high:
+                yield Problem(("stop",), "must differ from start", self.stop)
+            elif self.spacing == "logarithmic" and not (low > 0.0 and high > 0.0):
+                yield Problem(("spacing",), "logarithmic spacing needs a start and a stop above zero", self.spacing)
+        if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
+            message = 'must be names of presets or paths of specs if "section" is set'
+            yield Problem(("values",), message, self.values)
 
     @property
     def changes(self) -> tuple[str, ...]:
@@ -106,69 +104,37 @@ class SweptAxis(Section):
         except ValueError:
             return None
 
-    def ends(self) -> tuple[float, float]:
-        """Start and stop as numbers in `unit`. Raises `SpecError`."""
-        assert self.start is not None
-        assert self.stop is not None
-        low, high = (self._number(name, end) for name, end in (("start", self.start), ("stop", self.stop)))
-        if low == high:
-            refuse(Problem(("stop",), "must differ from start", self.stop))
-        if self.spacing == "logarithmic" and not (low > 0.0 and high > 0.0):
-            refuse(Problem(("spacing",), "logarithmic spacing needs a start and a stop above zero", self.spacing))
-        return low, high
-
-    def _number(self, name: str, end: End) -> float:
-        unit = self.unit
-        if isinstance(end, bool) or isinstance(end, str) != (unit is not None):
-            refuse(Problem((name,), "start and stop must both be texts with a unit, or both plain numbers", end))
-        if not isinstance(end, str):
-            return float(end)
-        assert unit is not None
-        try:
-            return _in(end, unit)
-        except ValueError as error:
-            refuse(Problem((name,), str(error), end))
-            raise
-
-    def _written(self, number: float) -> object:
-        """A number as the file writes it, to twelve digits: what is swept can be written again by hand."""
-        if self.unit is not None:
-            return f"{_short(number)} {self.unit}"
-        whole = all(isinstance(end, int) for end in (self.start, self.stop))
-        return round(number) if whole and abs(number - round(number)) < 1e-9 else float(_short(number))
+    def _ends(self) -> list[float]:
+        """Start and stop as numbers in `unit`. Errors: `ValueError` for others."""
+        ends = [self.number_of(end) for end in (self.start, self.stop)]
+        if None in ends or isinstance(self.start, str) != isinstance(self.stop, str):
+            raise ValueError("start and stop must both be texts with a unit, or both plain numbers")
+        return cast("list[float]", ends)
 
     def listed(self) -> tuple[object, ...]:
-        """All values of the axis, as the spec's file holds them."""
+        """All values of the axis, as the spec's file holds them, to twelve digits: what is swept can be written again
+        by hand."""
         if self.values is not None:
             return self.values
         assert self.count is not None
         spaced = np.geomspace if self.spacing == "logarithmic" else np.linspace
-        return tuple(self._written(float(number)) for number in spaced(*self.ends(), self.count))
+        low, high = self._ends()
+        numbers = [f"{number:.12g}" for number in spaced(low, high, self.count).tolist()]
+        if self.unit is not None:
+            return tuple(f"{number} {self.unit}" for number in numbers)
+        whole = all(isinstance(end, int) for end in (self.start, self.stop))
+        return tuple(int(n) if whole and n.lstrip("-").isdigit() else float(n) for n in numbers)
 
     def number_of(self, value: object) -> float | None:
-        """A value in the axis's unit, for the results' coordinate; None for words."""
-        if isinstance(value, bool):
+        """A value in the axis's unit: 60 for "60 deg/s", whatever its SI value rounds to; None for words. Errors:
+        `UnitError` for another unit."""
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
             return None
-        if isinstance(value, int | float):
+        if not isinstance(value, str):
             return float(value)
-        unit = self.unit
-        if not isinstance(value, str) or unit is None:
+        if self.unit is None:
             return None
-        try:
-            return _in(value, unit)
-        except ValueError:
-            return None
-
-
-def _in(text: str, unit: str) -> float:
-    """The number of a quantity in a unit: 60 for "60 deg/s", whatever its SI value rounds to."""
-    return float(_short(units.to_unit(units.parse(text, units.dimension_of(unit)), unit)))
-
-
-def _short(number: float) -> str:
-    """A float's decimal to twelve digits, without needless ones."""
-    rounded = _DIGITS.create_decimal(Decimal(repr(number)))
-    return format(rounded.normalize(_DIGITS), "f") if -6 < rounded.adjusted() < 12 or rounded == 0 else f"{rounded:e}"
+        return float(f"{units.to_unit(units.parse(value, units.dimension_of(self.unit)), self.unit):.12g}")
 
 
 class SweepFile(TitledFile):
@@ -184,25 +150,21 @@ class SweepFile(TitledFile):
     axis: Annotated[tuple[SweptAxis, ...], Field(min_length=1, max_length=20)]
     """What is varied."""
 
-    def _problems(self) -> Iterable[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         message = 'two axes have this name; give one of them a different "name"'
-        problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
+        yield from repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
-            for key in axis.changes:
-                if key in seen:
-                    problems.append(Problem(("axis", i, "key"), "another axis also sets this key", key))
-                seen.add(key)
-        if not problems and self.count > MOST_POINTS:
-            problems.append(
-                Problem(("axis",), f"the sweep has {self.count} points; at most {MOST_POINTS} are possible")
-            )
-        return problems
+            if again := seen.intersection(axis.changes):
+                yield Problem(("axis", i, "key"), "another axis also sets this key", min(again))
+            seen.update(axis.changes)
+        if self.count > MOST_POINTS:
+            yield Problem(("axis",), f"the sweep has {self.count} points; at most {MOST_POINTS} are possible")
 
     @property
     def count(self) -> int:
         """How many points the sweep has."""
-        return math.prod(len(axis.listed()) for axis in self.axis)
+        return math.prod(axis.count or len(axis.listed()) for axis in self.axis)
 
 
 @dataclass(frozen=True)
@@ -249,30 +211,18 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
 
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
-    tables, place = _named(name, folder, source)
-    with missions_from(Path(place).parent):
-        return spec_of_either(tables, place)
-
-
-def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:
     path = folder / name
     if path.suffix or path.exists():
-        return read_toml(read_text(path), str(path)), str(path)
+        return spec_in(path)
     if name in presets.names():
-        return read_toml(presets.text(name), name), name
+        return parse_spec(presets.text(name), name)
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal start --list')], source)
 
 
 def _known(axis: SweptAxis, base: Spec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
-    trial = {key: axis.listed()[0] for key in axis.changes}
     try:
-        changed(base, trial)
+        changed(base, {key: axis.listed()[0] for key in axis.changes})
     except SpecError as error:
-        slips = [
-            p
-            for p in error.problems
-            if p.kind == "unknown" or "there is no" in p.message or "the list has" in p.message
-        ]
-        if slips:
+        if slips := [problem for problem in error.problems if problem.kind == "unknown"]:
             raise SpecError(slips) from None

@@ -19,21 +19,21 @@ Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
 ImuQuantity = Literal[
     "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
-    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "mission_heading",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order",
 ]  # fmt: skip
 
 
 class RequirementRow(Section):
     """The error that remains after the calibration in the quantity of a requirement (the residual; one standard
     deviation), in `unit`. A figure is null if this plan cannot observe it, or if it was not requested. The statistics
-    are for this run, with the terms that the spec names. The verdict and the risk also include the terms that the spec
+    are for this run, with the terms that the spec names. The verdict also includes the terms that the spec
     omits (`with_typical`) and the bias of another power-on (`another_run`)."""
 
     name: str
     """Name of the requirement."""
-    quantity: Literal["scale_factor", "bias"] | ImuQuantity
+    quantity: ImuQuantity
     """Quantity that the requirement limits."""
-    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
     """Axis; for an IMU, also how the elements of the quantity are combined."""
@@ -62,8 +62,6 @@ class RequirementRow(Section):
     """Number of standard deviations that must be within the target."""
     rule: str | None = None
     """Rule of the verdict, in words."""
-    specific_risk: Size | None = None
-    """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
     limited_by: str | None = None
     """The largest sources of the residual, in words."""
     with_typical: Size | None = None
@@ -105,7 +103,7 @@ class ParameterRow(Section):
     """Name of the coefficient."""
     axis: Axis | Literal["unit"] = "x"
     """Axis of the sensor, or "unit" for an IMU."""
-    std: Size | None
+    std: Size | None = None
     """Standard deviation after the calibration; null: this plan cannot observe the coefficient."""
     unit: str
     """Unit of the coefficient."""
@@ -133,11 +131,11 @@ class Prediction(Section):
     """Total duration of the soaks (s)."""
     motion_s: Size
     """Duration of the ramp (s)."""
-    requirements: tuple[RequirementRow, ...]
+    requirements: tuple[RequirementRow, ...] = ()
     """Residuals, one entry for each requirement."""
-    parameters: tuple[ParameterRow, ...]
+    parameters: tuple[ParameterRow, ...] = ()
     """Coefficients with their standard deviations."""
-    covariance: tuple[tuple[Finite | None, ...], ...] | None
+    covariance: tuple[tuple[Finite | None, ...], ...] | None = None
     """Covariance of the coefficients, in the units of `parameters`; null entries belong to coefficients that cannot be
     observed."""
     warnings: tuple[str, ...] = ()

@@ -3,7 +3,6 @@ computes nothing."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
 from typing import Any, Final
 from unicodedata import category
 
@@ -22,11 +21,6 @@ def summary(self: object) -> str:
     """The `__repr__` of a class: the lines of its `_shown`, or else its fields that have a value."""
     shown = getattr(self, "_shown", None)
     return "\n".join(_fitted(_listing(self) if shown is None else shown()))
-
-
-def whole_text(self: object) -> str:
-    """The `__str__` of a recipe: the whole sheet that `gradcal check` prints."""
-    return import_module("gradcal_jax.pages.bench_sheet").show(self)
 
 
 def amount(value: float | None, unit: str) -> str:

@@ -69,25 +69,17 @@ def read_toml(text: str, source: str = "") -> dict[str, Any]:
         raise SpecError([Problem((), f"is not valid TOML: {reason}")], source) from None
 
 
-def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None:
-    """The problem of the `format` key, if there is one."""
-    if "format" not in document:
-        message = f'this key is missing; expected "{expected}"{hint("format", document)}'
-        return Problem(("format",), message, kind="missing")
-    version = document["format"]
-    if version == expected:
-        return None
-    of_kind = isinstance(version, str) and version.split("/")[0] == expected.split("/")[0]
-    wanted = "this version of the program reads" if of_kind else "expected"
-    return Problem(("format",), f'{wanted} "{expected}"', version)
-
-
 def model_of(kind: type[Model], document: Mapping[str, Any], expected: str, source: str) -> Model:
     """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong; a missing
     or wrong format is the only problem reported."""
-    problem = format_problem(document, expected)
-    if problem is not None:
-        raise SpecError([problem], source)
+    version = document.get("format")
+    if version is None:
+        message = f'this key is missing; expected "{expected}"{hint("format", document)}'
+        raise SpecError([Problem(("format",), message, kind="missing")], source)
+    if version != expected:
+        of_kind = isinstance(version, str) and version.split("/")[0] == expected.split("/")[0]
+        wanted = "this version of the program reads" if of_kind else "expected"
+        raise SpecError([Problem(("format",), f'{wanted} "{expected}"', version)], source)
     try:
         return kind.model_validate(document)
     except ValidationError as error:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, cast
+from typing import Final, cast
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -98,17 +98,11 @@ def leaves(value: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
 
 def split_key(text: str) -> Key:
     """``"plan.cycle.moves[2].rest"`` -> ``("plan", "cycle", "moves", 2, "rest")``. Raises `ValueError`."""
-    parts: list[str | int] = []
-    at = 0
-    while at < len(text):
-        match = _PART.match(text, at)
-        if match is None:
-            raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
-        parts.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
-        at = match.end()
-    if not parts or not isinstance(parts[0], str) or dotted(tuple(parts)) != text:
+    found = _PART.finditer(text)
+    parts = tuple(int(part[2]) if part[1] is None else part[1] for part in found)
+    if not parts or isinstance(parts[0], int) or dotted(parts) != text:
         raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
-    return tuple(parts)
+    return parts
 
 
 def shown(value: object) -> str:
@@ -179,31 +173,30 @@ _EXPECTED: Final[Mapping[str, str]] = {
     "too_long": "expected at most {max_length} entries, found {actual_length}",
     "string_too_short": "must not be empty",
     "string_too_long": "the text is too long",
+    "missing": "this key is missing",
+    "extra_forbidden": "this key is unknown",
 }
+
+
+_KINDS: Final = {"missing": "missing", "extra_forbidden": "unknown", "too_short": "short"}
 
 
 def _translate(details: ErrorDetails) -> list[Problem]:
     # Of a key with several forms, pydantic names the form that it has tried ("<each>"), which is no key of the file.
     key: Key = tuple(part for part in details["loc"] if not str(part).startswith("<"))
-    value = details["input"]
-    kind = details["type"]
-    context: dict[str, Any] = details.get("ctx") or {}
+    value, kind, context = details["input"], details["type"], details.get("ctx") or {}
     inner = context.get("error")
+    if isinstance(inner, ValidationError):
+        inner = SpecError(from_validation(inner))
     if isinstance(inner, SpecError):
         return [problem.under(*key) for problem in inner.problems]
-    if isinstance(inner, ValidationError):
-        return [problem.under(*key) for problem in from_validation(inner)]
-    if kind == "missing":
-        return [Problem(key, "this key is missing", kind="missing")]
-    if kind == "extra_forbidden":
-        return [Problem(key, "this key is unknown", value, kind="unknown")]
     if kind == "literal_error":
-        return [Problem(key, _enumeration(value, str(context.get("expected", ""))), value)]
-    if isinstance(inner, ValueError):
-        return [Problem(key, str(inner), value)]
+        message = _enumeration(value, str(context.get("expected", "")))
+    else:
+        message = str(inner) if isinstance(inner, ValueError) else _EXPECTED.get(kind, details["msg"])
     if kind in _EXPECTED:
-        return [Problem(key, _EXPECTED[kind].format(**context), value, "short" if kind == "too_short" else "value")]
-    return [Problem(key, details["msg"], value)]
+        message = message.format(**context)
+    return [Problem(key, message, ABSENT if kind == "missing" else value, _KINDS.get(kind, "value"))]
 
 
 def _enumeration(value: object, expected: str) -> str:

@@ -3,6 +3,7 @@
 import ast
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -99,25 +100,19 @@ def _texts(module: str) -> dict[str, dict[str, str]]:
 def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: object) -> list[Problem]:
     """Add the nearest right spelling to unknown keys, and drop "missing" where a misspelt key stands for it."""
     known = list(model.model_fields)
-    present = set(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else set[str]()
-    meant: set[str] = set()
+    free = [name for name in known if not isinstance(value, Mapping) or name not in value]
+    meant: set[str | int] = set()
     spelt: list[Problem] = []
     for problem in problems:
-        if problem.kind == "unknown" and len(problem.key) == 1:
-            free = [name for name in known if name not in present]
-            close = nearest(str(problem.key[0]), free) or nearest(str(problem.key[0]), known)
-            if close is not None:
-                meant.add(close)
-                ending = f'; nearest: "{close}"'
-            else:
-                ending = f"; known here: {', '.join(known)}"
-            problem = Problem(problem.key, "this key is unknown" + ending, problem.value, "unknown")
-        elif problem.kind == "missing" and len(problem.key) == 1:
-            meaning = meanings(model).get(str(problem.key[0]), "")
-            ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})" if meaning else ""
-            problem = Problem(problem.key, problem.message + ending, problem.value, "missing")
-        spelt.append(problem)
-    return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
+        key, ending = problem.key[0] if len(problem.key) == 1 else 0, ""
+        if problem.kind == "unknown" and key:
+            close = nearest(str(key), free) or nearest(str(key), known)
+            ending = f"; known here: {', '.join(known)}" if close is None else f'; nearest: "{close}"'
+            meant.add(close or "")
+        elif problem.kind == "missing" and (meaning := meanings(model).get(str(key), "")):
+            ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})"
+        spelt.append(replace(problem, message=problem.message + ending))
+    return [p for p in spelt if p.kind != "missing" or len(p.key) > 1 or p.key[0] not in meant]
 
 
 class OneOrMore:
@@ -137,27 +132,42 @@ class OneOrMore:
 def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | None = None) -> BeforeValidator:
     """Marks a field that holds one of several tables: that which its `key` names, or the default."""
 
-    def choose(table: Mapping[str, object]) -> object:
-        if key not in table and default is None:
-            refuse_misspelt(table, [key])
-            raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
+    def kind_of(table: Mapping[str, object]) -> type[Section]:
         name = table.get(key, default)
+        if name is None:
+            refuse_misspelt(table, [key])
+            refuse(Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing"))
         if not isinstance(name, str) or name not in classes:
             raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
-        return classes[name].model_validate(table)
+        return classes[name]
 
-    return read_by(choose)
+    return _chosen(kind_of)
 
 
-def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
-    """Marks a field that holds one of several tables: `read` takes a table of the file to the class that it is of."""
+def by_key(
+    kinds: Mapping[str, type[Section]], expected: str = "", default: type[Section] | None = None
+) -> BeforeValidator:
+    """Marks a field that holds one of several tables: that of the first of these keys that it has, or the default."""
 
-    def chosen(value: object) -> object:
-        if not isinstance(value, Section | Mapping):
+    def kind_of(table: Mapping[str, object]) -> type[Section]:
+        kind = next((kind for key, kind in kinds.items() if key in table), default)
+        if kind is None:
+            refuse_misspelt(table, kinds)
+            raise ValueError(f"expected {expected}")
+        return kind
+
+    return _chosen(kind_of)
+
+
+def _chosen(kind_of: Callable[[Mapping[str, object]], type[Section]]) -> BeforeValidator:
+    def read(value: object) -> object:
+        if isinstance(value, Section):
+            return value
+        if not isinstance(value, Mapping):
             raise ValueError("expected a table")
-        return value if isinstance(value, Section) else read(cast("Mapping[str, object]", value))
+        return kind_of(cast("Mapping[str, object]", value)).model_validate(value)
 
-    return BeforeValidator(chosen)
+    return BeforeValidator(read)
 
 
 def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:

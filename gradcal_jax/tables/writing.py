@@ -1,32 +1,26 @@
 """Writing models back as TOML: quantities with the texts of the file read, and without its omitted defaults."""
 
+import json
 import os
+import re
 import tempfile
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, cast
 
-import tomlkit
-from tomlkit.items import AoT, InlineTable, Table
-
 from gradcal_jax.tables.section import Section
 
-# Tables short enough for one line, and lists whose tables are best read one a line.
-_INLINE: Final = frozenset({"temperature", "rate", "other_axes", "discrepancy"})
+# The kind of a move or an item stands before these keys.
 _TRAILING: Final = frozenset({"axis", "read_every", "used"})
-_LISTED: Final = frozenset({"moves", "programme", "harmonics"})
+# Longest table that stands on one line.
+_INLINE: Final = 90
 
 
 def to_toml(model: Section, *, header: str = "") -> str:
     """The model as TOML text, `header` above it as comment lines."""
-    tables = model.model_dump(mode="json", exclude_unset=True)
-    document = tomlkit.document()
-    for line in header.splitlines():
-        document.add(tomlkit.comment(line))
-    for name, value in _scalars_first(tables):
-        document.add(name, _item(name, value))
-    return tomlkit.dumps(document)  # pyright: ignore[reportUnknownMemberType]
+    comments = [f"# {line}".rstrip() for line in header.splitlines()]
+    return "\n".join([*comments, *_lines(model.model_dump(mode="json", exclude_unset=True))]) + "\n"
 
 
 def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
@@ -70,52 +64,44 @@ def whole(path: str | Path) -> Generator[Path]:
             passing.unlink(missing_ok=True)
 
 
-def _scalars_first(table: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """TOML requires a table's own keys before its subtables."""
+def _lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    """The lines of a table: TOML requires its own keys before its subtables."""
+    own = {name: value for name, value in table.items() if not _opens(value)}
+    for name, value in own.items():
+        yield f"{_key(name)} = {_text(value)}"
+    for name, value in table.items():
+        if name in own:
+            continue
+        below = f"{path}{_key(name)}"
+        head = f"[[{below}]]" if isinstance(value, list) else f"[{below}]"
+        entries = cast("list[Any]", value) if isinstance(value, list) else [value]
+        for entry in entries:
+            yield from ("", head, *_lines(entry, f"{below}."))
 
-    def opens_table(entry: tuple[str, object]) -> bool:
-        name, value = entry
-        return name not in _INLINE if isinstance(value, Mapping) else _is_tables(value) and name not in _LISTED
 
-    return sorted(table.items(), key=opens_table)
-
-
-def _is_tables(value: object) -> bool:
-    entries = cast("list[object]", value) if isinstance(value, list) else []
-    return bool(entries) and all(isinstance(entry, Mapping) for entry in entries)
+def _opens(value: Any) -> bool:
+    """Whether a value is a table, or a list of tables, too long for a line each."""
+    if isinstance(value, Mapping):
+        return len(_text(value)) > _INLINE
+    entries = cast("list[Any]", value) if isinstance(value, list) else []
+    return any(_opens(entry) for entry in entries if isinstance(entry, Mapping))
 
 
-def _item(name: str, value: Any) -> Any:
+def _key(name: str) -> str:
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else _text(name)
+
+
+def _text(value: Any) -> str:
+    """A value in TOML, on one line but for a long list of tables."""
     if isinstance(value, Mapping):
         table = cast("Mapping[str, Any]", value)
-        return _inline(table) if name in _INLINE else _table(table)
-    if _is_tables(value):
-        if name not in _LISTED:
-            return AoT([_table(entry) for entry in value])
-        array = tomlkit.array()
-        for entry in value:
-            array.append(_inline(entry))  # pyright: ignore[reportUnknownMemberType]
-        return array.multiline(True)
-    if isinstance(value, str) and "\n" in value:
-        return tomlkit.string(value, multiline=True)
-    return cast("Any", tomlkit.item(value))  # pyright: ignore[reportUnknownMemberType]
-
-
-def _table(value: Mapping[str, Any]) -> Table:
-    table = tomlkit.table()
-    for name, entry in _scalars_first(value):
-        table.add(name, _item(name, entry))
-    return table
-
-
-def _inline(value: Mapping[str, Any]) -> InlineTable:
-    table = tomlkit.inline_table()
-    # The kind of an entry comes before its readings and its axis.
-    for name, entry in sorted(value.items(), key=lambda item: item[0] in _TRAILING):
-        table.append(name, _inline(cast("Mapping[str, Any]", entry)) if isinstance(entry, Mapping) else _short(entry))
-    return table
-
-
-def _short(value: object) -> object:
-    """5 for 5.0: numbers without unit count things (turns)."""
-    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 1e9 else value
+        entries = sorted(table.items(), key=lambda entry: entry[0] in _TRAILING)
+        return "{ " + ", ".join(f"{_key(name)} = {_text(entry)}" for name, entry in entries) + " }"
+    if isinstance(value, list):
+        rows = [_text(entry) for entry in cast("list[Any]", value)]
+        tables = any(isinstance(entry, Mapping) for entry in cast("list[Any]", value))
+        line = f"[{', '.join(rows)}]"
+        return "[\n  " + ",\n  ".join(rows) + ",\n]" if tables and len(line) > _INLINE else line
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -9,20 +9,11 @@ from typing import Final, NamedTuple
 from gradcal_jax.units.spelling import nearest
 from gradcal_jax.units.symbols import DIMENSIONS, PRECISE, SYMBOLS, ZERO_OF_SCALE, Dimension, Powers
 
-# Other code points of the same characters only: micro, minus, middle dots, hard spaces, one-character °C and °F.
+# Other code points of the same characters only: micro (twice), minus, middle dots, hard and thin spaces, and °C and °F
+# of one character.
 _SAME: Final = str.maketrans(
-    {
-        "\N{MICRO SIGN}": "u",
-        "\N{GREEK SMALL LETTER MU}": "u",
-        "\N{MINUS SIGN}": "-",
-        "\N{MIDDLE DOT}": "*",
-        "\N{DOT OPERATOR}": "*",
-        "\N{NO-BREAK SPACE}": " ",
-        "\N{NARROW NO-BREAK SPACE}": " ",
-        "\N{THIN SPACE}": " ",
-        "\N{DEGREE CELSIUS}": "°C",
-        "\N{DEGREE FAHRENHEIT}": "°F",
-    }
+    dict(zip("\u00b5\u03bc\u2212\u00b7\u22c5\u00a0\u202f\u2009", "uu-**   ", strict=True))
+    | {"\u2103": "°C", "\u2109": "°F"}
 )
 _SUPERSCRIPTS: Final = str.maketrans("⁻¹²³", "-123")
 # Other ways to write a power and a root.
@@ -55,72 +46,44 @@ class Unit(NamedTuple):
     powers: Powers
     zero: int | None = None
 
-    def times(self, other: "Unit", power: int) -> "Unit":
-        """The product with another unit to a power of 1 or -1."""
-        a, b, c, d = (one + power * more for one, more in zip(self.powers, other.powers, strict=True))
-        return Unit(self.factor * other.factor**power, (a, b, c, d))
 
-    def raised(self, doubled: int) -> "Unit":
-        """The unit to half of a power that is `doubled`."""
-        a, b, c, d = (doubled * power for power in self.powers)
-        if any(power % 2 for power in (a, b, c, d)):
-            raise UnitError("a root of a root is not understood")
-        return Unit(self.factor.sqrt() ** doubled, (a // 2, b // 2, c // 2, d // 2))
+def _product(tokens: list[str]) -> Unit:
+    """The unit at the begin of the tokens, which it takes from them."""
+    (factor, powers, _), divided = _factor(tokens), False
+    while tokens[0] in ("*", "/"):
+        operator = tokens.pop(0)
+        if operator == "*" and divided:
+            raise UnitError("a product after a division is ambiguous: put the denominator into parentheses")
+        divided = operator == "/"
+        sign, more = -1 if divided else 1, _factor(tokens)
+        factor *= more.factor**sign
+        powers = tuple(one + sign * other for one, other in zip(powers, more.powers, strict=True))
+    return Unit(factor, powers)
 
 
-class _Reader:
-    """Recursive descent over the tokens of one unit."""
-
-    def __init__(self, text: str) -> None:
-        text = _POWER.sub(lambda power: "^" + power.group().translate(_SUPERSCRIPTS), text)
-        text = _ROOT.sub("√", text).rstrip(" ")
-        self.tokens: list[str] = []
-        at = 0
-        while at < len(text):
-            match = _TOKEN.match(text, at)
-            if match is None:
-                raise UnitError(f"'{text[at:].strip()}' is not understood")
-            self.tokens.append(match.group(1))
-            at = match.end()
-        self.alone = len(self.tokens) == 1
-        self.tokens.append("")
-
-    def unit(self) -> Unit:
-        result, divided = self.factor(), False
-        while self.tokens[0] in ("*", "/"):
-            operator = self.tokens.pop(0)
-            if operator == "*" and divided:
-                raise UnitError("a product after a division is ambiguous: put the denominator into parentheses")
-            divided = operator == "/"
-            result = result.times(self.factor(), -1 if divided else 1)
-        return result
-
-    def factor(self) -> Unit:
-        root = self.tokens[0] == "√"
-        if root:
-            self.tokens.pop(0)
-        result = self.atom()
-        if self.tokens[0].startswith("^"):
-            if root:
-                raise UnitError("a power of a root is not understood")
-            return result.raised(_doubled(self.tokens.pop(0)))
-        return result.raised(1) if root else result
-
-    def atom(self) -> Unit:
-        token = self.tokens.pop(0)
-        if token == "(":
-            result = self.unit()
-            if self.tokens.pop(0) != ")":
-                raise UnitError("a parenthesis is not closed")
-            return result
-        if token in SYMBOLS:
-            if token.endswith("F") and not self.alone:
-                raise UnitError("Fahrenheit is allowed only for absolute temperatures; for a difference, write K")
-            return Unit(*SYMBOLS[token], ZERO_OF_SCALE.get(token))
-        if token.isalpha():
-            near = nearest(token, filter(str.isalpha, SYMBOLS))
-            raise UnitError(f"unit '{token}' is unknown" + (f" (nearest: '{near}')" if near else ""))
+def _factor(tokens: list[str]) -> Unit:
+    """A name or a unit in parentheses, with its root or its power."""
+    doubled, token = 2, tokens.pop(0)
+    if token == "√":
+        doubled, token = 1, tokens.pop(0)
+    if token == "(":
+        unit = _product(tokens)
+        if tokens.pop(0) != ")":
+            raise UnitError("a parenthesis is not closed")
+    elif token in SYMBOLS:
+        unit = Unit(*SYMBOLS[token])
+    elif token.isalpha():
+        near = nearest(token, filter(str.isalpha, SYMBOLS))
+        raise UnitError(f"unit '{token}' is unknown" + (f" (nearest: '{near}')" if near else ""))
+    else:
         raise UnitError(f"'{token}' stands where a unit is expected" if token else "the unit is incomplete")
+    if tokens[0].startswith("^"):
+        if doubled == 1:
+            raise UnitError("a power of a root is not understood")
+        doubled = _doubled(tokens.pop(0))
+    if any(doubled * power % 2 for power in unit.powers):
+        raise UnitError("a root of a root is not understood")
+    return Unit(unit.factor.sqrt() ** doubled, tuple(doubled * power // 2 for power in unit.powers))
 
 
 def _doubled(power: str) -> int:
@@ -137,12 +100,20 @@ def _doubled(power: str) -> int:
 def _read_unit(text: str) -> Unit:
     if not text:
         raise UnitError("the unit is missing")
-    reader = _Reader(text)
+    plain = _POWER.sub(lambda power: "^" + power.group().translate(_SUPERSCRIPTS), text)
+    plain = _ROOT.sub("√", plain)
+    tokens: list[str] = _TOKEN.findall(plain)
+    if "".join(tokens).replace(" ", "") != plain.replace(" ", ""):
+        raise UnitError(f"'{text}' is not understood")
+    if tokens[1:] and any(token.endswith("F") for token in tokens):
+        raise UnitError("Fahrenheit is allowed only for absolute temperatures; for a difference, write K")
+    zero = ZERO_OF_SCALE.get(tokens[0]) if len(tokens) == 1 else None
+    tokens.append("")
     with localcontext(PRECISE):
-        result = reader.unit()
-    if reader.tokens[0]:
-        raise UnitError(f"'{reader.tokens[0]}' does not belong to the unit before it: join units with '/' or '·'")
-    return result
+        unit = _product(tokens)
+    if tokens[0]:
+        raise UnitError(f"'{tokens[0]}' does not belong to the unit before it: join units with '/' or '·'")
+    return unit._replace(zero=zero)
 
 
 @lru_cache(maxsize=512)
@@ -160,9 +131,7 @@ def _check(unit: Unit, dimension: Dimension) -> None:
     if measured == dimension:
         return
     if measured is not None and unit.powers == _read_unit(dimension.si).powers:
-        if dimension == _TEMPERATURE:
-            raise UnitError("write an absolute temperature in degC; K is only for temperature differences")
-        raise UnitError("write a temperature difference in K; degC is only for absolute temperatures")
+        raise UnitError("write an absolute temperature in degC, and a temperature difference in K")
     raise UnitError(f"that is {measured.described}" if measured else f"that is not {dimension.described}")
 
 
@@ -195,8 +164,7 @@ def _read(text: str, dimension: Dimension) -> float:
     number, rest = _split(text)
     unit = _read_unit(rest)
     _check(unit, dimension)
-    with localcontext(PRECISE):
-        value = (number - (unit.zero or 0)) * unit.factor
+    value = _converted(number, unit, _SI)
     if dimension == _TEMPERATURE and value < Decimal("-273.15"):
         raise UnitError("the temperature is below absolute zero")
     return _finite(value)
@@ -244,11 +212,11 @@ def unit_of(text: str) -> str:
     return unit
 
 
-_SI: Final = Unit(Decimal(1), (0, 0, 0, 0))
+_SI: Final = Unit(Decimal(1), ())
 
 
-def _in_unit(value: float, target: Unit, source: Unit = _SI) -> Decimal:
-    """A number of one unit (absent: SI) as one of another."""
+def _converted(value: float | Decimal, source: Unit, target: Unit) -> Decimal:
+    """A number of one unit as one of another."""
     if not math.isfinite(value):
         raise UnitError(f"{value} is not a quantity: the number must be finite")
     with localcontext(PRECISE):
@@ -257,7 +225,7 @@ def _in_unit(value: float, target: Unit, source: Unit = _SI) -> Decimal:
 
 def to_unit(value: float, unit: str) -> float:
     """An SI value as a number of `unit`: ``to_unit(math.pi, "deg") == 180.0``."""
-    return _finite(_in_unit(value, _lookup(unit)))
+    return _finite(_converted(value, _SI, _lookup(unit)))
 
 
 def convert(value: float, from_unit: str, to: str) -> float:
@@ -269,7 +237,7 @@ def convert(value: float, from_unit: str, to: str) -> float:
     have, wanted = DIMENSIONS[dimension_of(from_unit)], DIMENSIONS[dimension_of(to)]
     if have != wanted:
         raise UnitError(f"'{from_unit}' is {have.described}, '{to}' is {wanted.described}")
-    return _finite(_in_unit(value, _lookup(to), _lookup(from_unit)))
+    return _finite(_converted(value, _lookup(from_unit), _lookup(to)))
 
 
 def parse_in(text: str, unit: str) -> float:
@@ -278,8 +246,7 @@ def parse_in(text: str, unit: str) -> float:
     source, target = _lookup(rest), _lookup(unit)
     if source.powers != target.powers:
         raise UnitError(f"'{text}' has another unit than expected; its SI unit must be {unit}")
-    with localcontext(PRECISE):
-        return _finite(number * source.factor / target.factor)
+    return _finite(_converted(number, source, target))
 
 
 def _rounded(number: Decimal, digits: int) -> str:
@@ -298,7 +265,7 @@ def format_quantity(value: float, unit: str) -> str:
 
     A Fahrenheit that cannot be exact (within some 1e-20 of 0 °C) is written in degC.
     """
-    number, dimension = _in_unit(value, _lookup(unit)), dimension_of(unit)
+    number, dimension = _converted(value, _SI, _lookup(unit)), dimension_of(unit)
     texts = (f"{_rounded(number, digits)} {unit}" for digits in range(1, 26))
     exact = next((text for text in texts if parse(text, dimension) == value), None)
     # 25 digits suffice for every unit without an offset; with one, a tiny number would need hundreds.

@@ -5,7 +5,7 @@ from decimal import Context, Decimal, localcontext
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-Powers = tuple[int, int, int, int]
+Powers = tuple[int, ...]
 """Exponents of rad, s, K and m, each *doubled* so that square roots stay whole numbers."""
 PRECISE: Final = Context(prec=60)
 _PI: Final = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
@@ -44,13 +44,12 @@ _ROWS: Final[tuple[tuple[str, str, Decimal | int | str, Decimal | int, Powers], 
 
 def _symbols() -> dict[str, tuple[Decimal, Powers]]:
     symbols: dict[str, tuple[Decimal, Powers]] = {}
-    prefixed: dict[str, tuple[Decimal, Powers]] = {}
     with localcontext(PRECISE):
         for names, prefixes, top, bottom, powers in _ROWS:
             factor, first = Decimal(top) / bottom, names.split()[0]
-            symbols |= dict.fromkeys(names.split(), (factor, powers))
-            prefixed |= {prefix + first: (factor * Decimal(_PREFIXES[prefix]), powers) for prefix in prefixes}
-    return symbols | prefixed
+            prefixed = {prefix + first: (factor * Decimal(_PREFIXES[prefix]), powers) for prefix in prefixes}
+            symbols = prefixed | symbols | dict.fromkeys(names.split(), (factor, powers))
+    return symbols
 
 
 SYMBOLS: Final = _symbols()
@@ -59,12 +58,16 @@ ZERO_OF_SCALE: Final = {"degC": 0, "°C": 0, "degF": 32, "°F": 32}
 
 
 class Dimension(NamedTuple):
-    """A kind of quantity: its name, its SI unit, its customary unit, and an example."""
+    """A kind of quantity: its name, its SI unit, and an example in its customary unit."""
 
     name: str
     si: str
-    usual: str
     example: str
+
+    @property
+    def usual(self) -> str:
+        """Its customary unit."""
+        return self.example.partition(" ")[2]
 
     @property
     def described(self) -> str:
@@ -73,27 +76,27 @@ class Dimension(NamedTuple):
 
 
 _DIMENSIONS: Final = (
-    Dimension("angle", "rad", "deg", "30 arcsec"),
-    Dimension("angular rate", "rad/s", "deg/s", "10 deg/s"),
-    Dimension("angular acceleration", "rad/s^2", "deg/s^2", "300 deg/s^2"),
-    Dimension("time", "s", "s", "10 s"),
-    Dimension("temperature", "degC", "degC", "20 degC"),
-    Dimension("temperature difference", "K", "K", "50 K"),
-    Dimension("temperature slope", "K/s", "K/min", "1 K/min"),
-    Dimension("angle random walk", "rad/sqrt(s)", "deg/sqrt(h)", "0.1 deg/sqrt(h)"),
-    Dimension("rate random walk", "rad/s/sqrt(s)", "deg/h/sqrt(h)", "2 deg/h/sqrt(h)"),
-    Dimension("scale factor", "1", "ppm", "80 ppm"),
-    Dimension("scale factor slope", "1/K", "ppm/K", "10 ppm/K"),
-    Dimension("scale factor temperature-gradient sensitivity", "s/K", "ppm/(K/min)", "50 ppm/(K/min)"),
-    Dimension("bias slope", "rad/s/K", "deg/h/K", "5 deg/h/K"),
-    Dimension("bias temperature-gradient sensitivity", "rad/K", "deg/h/(K/min)", "5 deg/h/(K/min)"),
-    Dimension("acceleration slope", "m/s^2/K", "ug/K", "50 ug/K"),
-    Dimension("acceleration temperature-gradient sensitivity", "m/s/K", "ug/(K/min)", "100 ug/(K/min)"),
-    Dimension("acceleration-sensitive drift", "rad/s/(m/s^2)", "deg/h/g", "10 deg/h/g"),
-    Dimension("second-order coefficient", "1/(m/s^2)", "ug/g^2", "50 ug/g^2"),
-    Dimension("acceleration", "m/s^2", "mg", "5 mg"),
-    Dimension("velocity random walk", "m/s/sqrt(s)", "m/s/sqrt(h)", "0.1 m/s/sqrt(h)"),
-    Dimension("frequency", "Hz", "Hz", "100 Hz"),
-    Dimension("length", "m", "m", "0.1 m"),
+    Dimension("angle", "rad", "0.05 deg"),
+    Dimension("angular rate", "rad/s", "10 deg/s"),
+    Dimension("angular acceleration", "rad/s^2", "300 deg/s^2"),
+    Dimension("time", "s", "10 s"),
+    Dimension("temperature", "degC", "20 degC"),
+    Dimension("temperature difference", "K", "50 K"),
+    Dimension("temperature slope", "K/s", "1 K/min"),
+    Dimension("angle random walk", "rad/sqrt(s)", "0.1 deg/sqrt(h)"),
+    Dimension("rate random walk", "rad/s/sqrt(s)", "2 deg/h/sqrt(h)"),
+    Dimension("scale factor", "1", "80 ppm"),
+    Dimension("scale factor slope", "1/K", "10 ppm/K"),
+    Dimension("scale factor temperature-gradient sensitivity", "s/K", "50 ppm/(K/min)"),
+    Dimension("bias slope", "rad/s/K", "5 deg/h/K"),
+    Dimension("bias temperature-gradient sensitivity", "rad/K", "5 deg/h/(K/min)"),
+    Dimension("acceleration slope", "m/s^2/K", "50 ug/K"),
+    Dimension("acceleration temperature-gradient sensitivity", "m/s/K", "100 ug/(K/min)"),
+    Dimension("acceleration-sensitive drift", "rad/s/(m/s^2)", "10 deg/h/g"),
+    Dimension("second-order coefficient", "1/(m/s^2)", "50 ug/g^2"),
+    Dimension("acceleration", "m/s^2", "5 mg"),
+    Dimension("velocity random walk", "m/s/sqrt(s)", "0.1 m/s/sqrt(h)"),
+    Dimension("frequency", "Hz", "100 Hz"),
+    Dimension("length", "m", "0.1 m"),
 )
 DIMENSIONS: Final[Mapping[str, Dimension]] = MappingProxyType({dimension.name: dimension for dimension in _DIMENSIONS})

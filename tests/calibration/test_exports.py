@@ -166,7 +166,7 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     assert ran.returncode == 0, "the header's own self-test failed"
     out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
     rounds = int(re.search(r"round < (\d+)", done.text)[1])
-    assert np.max(np.abs(out - header.after(rounds, said, temperature))) < 1e-5
+    assert np.max(np.abs(out - header.corrected(said, temperature, rounds)[0])) < 1e-5
     exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
     for channel in calibration.channel:
         off = np.max(np.abs(out[:, inputs.index(channel.input)] - exact[channel.input]))
@@ -235,7 +235,7 @@ def test_the_header_takes_the_rounds_that_large_errors_need():
     assert int(re.search(r"round < (\d+)", done.text)[1]) > 6
     assert loss(done, "gyro x", "at rest") < 0.2
     truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
-    last = Header(large).after(12, gyro(large, truth, at)[:, None], at)
+    last, _ = Header(large).corrected(gyro(large, truth, at)[:, None], at, 12)
     assert np.max(np.abs(last[:, 0] - truth)) < 2e-6
 
 

@@ -74,11 +74,9 @@ def test_check_says_what_the_plan_does(spec, capsys):
     assert main(["check", "--files-only", str(spec)]) == 0
     out = capsys.readouterr().out
     for words in (
-        "2 h 40 min in all: soak 1 h, temperature motion 1 h 40 min; 2 segments",
-        "cycle: 6 min, made 17 times: moves 2 min, other axes 4 min (every 1 s)",
-        "+360 deg  10 deg/s   1.662 deg/s^2",
-        "readings: 4402",
-        "the table stays at rest for 2 min",
+        "2 h 40 min in all: soak 1 h, temperature motion 1 h 40 min",
+        "motion 1: begins with ramp 1, 17 times, one every 360 s",
+        "then rest for 2 min (read every 1 s)",
     ):
         assert words in out
     spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")

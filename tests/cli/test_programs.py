@@ -22,7 +22,7 @@ def compiled(folder: Path, name: str, spec: str) -> list[str]:
     """The names of the programs that `optimise` compiles, JAX's own cache of them being in `folder`."""
     path = folder / f"{name}.toml"
     path.write_text(spec, encoding="utf-8")
-    arguments = ["optimise", str(path), "-o", str(folder / f"{name}.recipe.toml"), "--quick", "--steps", "20"]
+    arguments = ["optimise", str(path), "-o", str(folder / f"{name}.recipe.toml"), "--steps", "20"]
     done = subprocess.run(
         [sys.executable, "-c", _RUN, *arguments],
         capture_output=True,

@@ -48,12 +48,12 @@ nothing-known | --nonsense | predict | predict --json | predict good.toml extra.
 predict good.toml --plot no/where.png | check | check --json | check good.toml --nope | start | start --list=x
 start nothing -o x.toml | start tactical-mems | start tactical-mems -o good.toml | start tactical-mems -o no/where.toml
 optimise good.toml | optimise whole.toml -o out.toml --steps 1 | optimise whole.toml -o good.toml | limit good.toml
-optimise good.toml --motion 10min..5min | rig | rig check | rig check good.toml | run | run good.toml -o run
+optimise good.toml --steps 7 | rig | rig check | rig check good.toml | run | run good.toml -o run
 run missing.toml --simulate -o run | run --resume nowhere | log nowhere
 noise data.csv | noise data.csv --columns good.toml | noise missing.csv | noise empty.nc | noise data.csv --axis q
 noise data.csv --rows 5 | noise data.csv --rows 9..1 | estimate | estimate data.csv | estimate empty.nc --spec good.toml
 estimate missing.nc --spec good.toml | apply good.toml data.csv -o x.nc | apply missing.toml data.csv -o x.nc
-validate good.toml data.csv | validate missing.toml empty.nc --parts 0 | export good.toml --format csv
+validate good.toml data.csv | validate missing.toml empty.nc | export good.toml --format csv
 export good.toml --format nothing | report | report -o x.html | report nowhere -o x.html | sweep good.toml -o x.nc
 sweep missing.toml -o x.nc | sweep good.toml -o x.nc --workers 0 | demo -o good.toml | demo --seed x
 """

@@ -21,20 +21,14 @@ STEPS = (1e-3, 1e-4, 1e-5)
 
 
 @lru_cache
-def turning(*, back: bool = False, late: bool = False) -> Spec:
-    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis; `late`: and with what
-    follows the temperature late."""
+def turning(*, back: bool = False) -> Spec:
+    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis."""
     line = {"degree": 1, "centre": "20 degC", "scale": "40 K"}
     moves = [
         move
         for turn in ("720 deg", "-720 deg")
         for move in ({"turn": turn, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
-    lagging = {
-        "sensor.second_thermometer": {"lag": "10 min"},
-        "sensor.clock": "sensor",
-        "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "0.5 deg/h/K"}],
-    }
     return gj.changed(
         spec_of(ways=2 if back else 1),
         {
@@ -51,7 +45,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
             "rig.table.axis[0].angle.scale_error": "0 ppm",
             "rig.table.mounting": [{"accuracy": "0 deg"}],
             "plan.cycle": {"moves": moves},
-        } | (lagging if late else {}),
+        },
     )  # fmt: skip
 
 
@@ -72,7 +66,7 @@ def objective(plan: CyclePlan, sharpness: float):
 def test_the_gradient_goes_through_turning_points_and_slopes():
     """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
     rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
-    plan = CyclePlan(turning(late=True))
+    plan = CyclePlan(turning())
     value = objective(plan, 30.0)
     random = np.random.default_rng(3)
     starts = plan.starts()
@@ -97,7 +91,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes():
 @pytest.mark.long
 @pytest.mark.parametrize("both", [False, True])
 def test_the_objective_of_a_free_course_is_about_that_of_its_plan(both):
-    plan = CyclePlan(turning(back=both, late=both))
+    plan = CyclePlan(turning(back=both))
     left = float(np.exp(jax.jit(objective(plan, np.inf))(plan.point(plan.start))))
     found = plan.spec_of(plan.start)
     assert found.gradient_schedule.stretches[0].cycles == plan.cycles

@@ -12,7 +12,7 @@ from search_problem import SPEC, exact, targets_met
 
 import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.optimise import FrontierPoint, belief_of, run_search, shortest
+from gradcal_jax.design.optimise import belief_of, run_search
 from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.searching import Optimised
 from gradcal_jax.information.prediction import predict
@@ -143,7 +143,7 @@ def test_what_is_believed_is_said(spec):
     ("changes", "says"),
     [
         ({"design.free": ["programme"]}, "an axis that has the table in a few visits follows the programme"),
-        ({"design.max_motion": "50 s"}, "the moves"),
+        ({"design.max_motion": "50 s"}, "max_heating"),
         ({"design.max_motion": "40 min"}, "2.5 K/min"),
         ({"design.moves": 40, "design.shortest_rest": "4 s"}, "the moves need at least"),
     ],
@@ -159,16 +159,6 @@ def test_a_standing_axis_has_a_limit_of_its_bias_and_the_standard_method_neither
     for refused in (limit, lambda spec: next(run_search(spec))):
         with pytest.raises(ValueError, match='only possible for a plan with method = "gradient"'):
             refused(paper("static_standard"))
-
-
-def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
-    points = [
-        FrontierPoint(t * 60.0, best._replace(now=now), "") for t, now in ((50.0, 10.0), (100.0, 5.0), (200.0, 6.0))
-    ]
-    # Ten times the residual to a half: as t to the power of −1.
-    assert shortest(points, 10.0) == 3000.0
-    assert shortest(points, 8.0) == pytest.approx(60.0 * 62.5)
-    assert shortest(points, 4.0) is None
 
 
 def with_targets(spec, own: str, bias: str = "") -> Spec:

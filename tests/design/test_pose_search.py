@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from search_problem import turning
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
@@ -122,9 +121,7 @@ def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
 def test_the_command_writes_a_recipe_that_is_worth_what_is_said(tmp_path, capsys, searched):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)
-    picture = tmp_path / "both.png"
-    assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json", "--plot", str(picture)]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [row["name"] for row in told["requirements"]] == [r.name for r in small().requirement]
     # The same numbers for the same seed, and no rounding is left.
@@ -150,17 +147,6 @@ def test_turns_are_within_the_full_scale_of_the_gyro():
     plan = CyclePlan(narrow)
     most = min(332.5, *(math.degrees(float(axis.max_rate)) for axis in spec.rig.table.axis))
     assert np.degrees(plan.limits.rates) == pytest.approx([most, most])
-
-
-@pytest.mark.evidence
-def test_a_frontier_of_an_imu():
-    """Half the ramp has fewer cycles and leaves more."""
-    spec = turning()
-    lasts = spec.gradient_schedule.motion
-    short, long = (point.plan for point in gj.frontier(spec, [0.6 * lasts, lasts], steps=40))
-    assert short.spec.gradient_schedule.motion == pytest.approx(0.6 * lasts, rel=0.02)
-    assert short.unit == long.unit
-    assert short.now > 1.1 * long.now
 
 
 @pytest.mark.evidence

@@ -90,7 +90,7 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
     plan = plan_of(given)
     for seed in range(6):
         made = plan.spec_of(plan.drawn(np.random.default_rng(seed)))
-        assert rounded(made).changes == ()
+        assert rounded(made).spec.plan == made.plan
         assert (plan.cycles > 1) == (kind == "the same moves in many")
         assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.cycles
         assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)

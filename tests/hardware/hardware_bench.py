@@ -24,7 +24,15 @@ from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents,
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.setup import only_of, open_rig
-from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
+from gradcal_jax.hardware.simulate.imu import (
+    EARTH_RATE,
+    ErrorTerm,
+    ImuTruth,
+    SimulatedImu,
+    TableTruth,
+    TriadTruth,
+    own_input,
+)
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Recipe
@@ -102,7 +110,7 @@ EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
 
 def perfect(*, scale_factor: float = 0.0, clock_error: float = 0.0) -> ImuTruth:
     """A unit without noise, whose gyros have a scale-factor error."""
-    errors = (ErrorTerm(np.full((3, 1, 1), scale_factor), lambda t: np.ones((len(t), 1)), "own"),)
+    errors = (ErrorTerm(np.full((3, 1, 1), scale_factor), lambda t: np.ones((len(t), 1)), own_input),)
     triads = {"gyro": TriadTruth(errors, 0.0), "accelerometer": TriadTruth((), 0.0)}
     return ImuTruth(triads, clock_error=clock_error)
 

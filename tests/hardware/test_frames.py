@@ -35,7 +35,7 @@ STIM300_OF_A_UNIT = (
 )
 STIM300_CHANGES: dict[str, Any] = {
     "sync": "AF", "length": 63, "check": {"at": 59, "zeros": 1}, "counter": {"at": 56},
-    "temperature": {"at": 31}, "second_temperature": {"at": 38}, "status": False,
+    "temperature": {"at": 31}, "status": False,
 }  # fmt: skip
 KVH = "FE81FF55BC646C1E3C3FF9813B3C1E78BC065FB7BB2FBD793F7E980077470014168D8B1D"
 
@@ -61,7 +61,7 @@ def test_golden_frames() -> None:
     kept = one("stim300", STIM300)
     assert kept.gyro_dps[0].tolist() == [1.0, -0.5, 0.25]
     assert kept.acceleration_g[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
-    assert (kept.temperature_c[0].tolist(), kept.second_c[0]) == ([25.5] * 3, 25.5)
+    assert kept.temperature_c[0].tolist() == [25.5] * 3
     kept = one("stim300", STIM300_OF_A_UNIT, STIM300_CHANGES)
     assert kept.gyro_dps[0].tolist() == [0.017822265625, -0.0806884765625, 0.05242919921875]
     assert kept.acceleration_g[0] == pytest.approx([-0.011890411, -0.016986847, 1.013828278], abs=1e-9)

@@ -197,21 +197,21 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
     clock = VirtualClock()
     with f4t_bench(clock) as (chamber, device, _):
         # Somebody wrote a set point beforehand, to a loop that is off.
-        device.memory.put(2782, -30.0)
+        device.put(2782, -30.0)
         assert (chamber.read().conditioning, chamber.read().setpoint_c) == (False, 23.0)
         chamber.hold(-30.0)
         assert set_point(device, clock) == -30.0
-        device.memory.words[16568] = 149
+        device.words[16568] = 149
         assert chamber.read().mode == "PROFILE"
         chamber.hold(-20.0)
         assert chamber.read().mode == "AUTO"
-        device.memory.words |= {1556: 12, 1456: 10}
+        device.words |= {1556: 12, 1456: 10}
         assert chamber.read().alarms == ("alarm 2",)
         chamber.standby()
         device.locked = True
         with pytest.raises(NotVerified, match="Watlow F4T: on"):
             chamber.hold(20.0)
-        device.memory.words[6730] = 30
+        device.words[6730] = 30
         with pytest.raises(Rejected, match="not Celsius"):
             chamber.identify()
 

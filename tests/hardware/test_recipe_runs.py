@@ -22,7 +22,7 @@ from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.tracks import tracks_of
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
+from gradcal_jax.spec.schedule import PlanSchedule, row_count
 from gradcal_jax.spec.spec import parse_spec
 
 SPEED = 20.0
@@ -86,7 +86,7 @@ def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> 
     fills = np.sum(begins < ramp.start), np.sum(begins > last_ends - 1e-6)
     assert fills == ((0, 0) if (drive, standing) == ("hand", "read") else (1, 1))
     assert rows.used.sum() == row_count(spec.gradient_schedule, spec.rig.table)
-    blocks = tracks_of(spec)[1]
+    blocks = tracks_of(spec).motion
     read = [(block.moves[0].read_every is not None or block.moves[0].read == "end") for block in blocks]
     behind = blocks[-1].read_every_after is not None
     assert (read[0], behind) == ((False, False) if drive == "hand" else (True, True))
@@ -122,9 +122,9 @@ def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str)
     else:
         spec = parse_spec(presets.text(name))
     made = unpredicted(spec)
-    begins = np.cumsum([0.0] + [float(segment.duration) for segment in made.chamber.programme])
+    begins = np.cumsum([0.0] + [float(segment.duration) for segment in made.chamber])
     wanted = []
-    for begin, segment in zip(begins, made.chamber.programme, strict=False):
+    for begin, segment in zip(begins, made.chamber, strict=False):
         ramp = None if segment.slope is None else pytest.approx(abs(float(segment.slope)) * 60.0)
         wanted.append((pytest.approx(begin, abs=1e-3), pytest.approx(float(segment.temperature_end)), ramp))
     heard = chamber_hears(track_of(made, [axis.name for axis in spec.rig.table.axis]))

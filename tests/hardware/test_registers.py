@@ -22,12 +22,13 @@ OVEN: dict[str, Any] = {
     "limits": {"lowest": "-40 degC", "highest": "150 degC"},
     "registers": {
         "air": {"address": 1, "decimals": 1, "input": True},
-        "setpoint": {"address": 2, "decimals": "places"},
+        "setpoint": {"address": 2, "decimals": 1},
         "places": {"address": 9},
         "run": {"address": 23, "codes": {"0": "OFF", "1": "RUN"}},
     },
     "tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}, "off": {"run": 0}},
     "state": {"conditioning": {"field": "run", "equals": "RUN"}},
+    "require": [{"field": "places", "equals": "1", "why": "decimals"}],
 }
 
 
@@ -66,7 +67,7 @@ def test_a_chamber_from_its_description_alone() -> None:
     with served(device, clock, 9600) as (_, transport):
         chamber = config.device(config.link(transport, clock), clock)
         assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
-        assert device.asked == {(4, 1), (3, 2), (3, 9), (3, 23)}
+        assert device.asked == {(4, 1), (3, 2), (3, 23)}
         chamber.hold(-12.5)
         assert (device.words[2], device.words[23]) == (65536 - 125, 1)
         assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
@@ -78,7 +79,7 @@ def test_a_chamber_from_its_description_alone() -> None:
         assert device.words[23] == 0
         # A register that takes no value: local mode.
         device.stuck.add(2)
-        with pytest.raises(NotVerified, match=r"oven: setpoint \(setpoint = 40\) was sent 3 times"):
+        with pytest.raises(NotVerified, match=r"oven: setpoint 40.0 was sent 3 times"):
             chamber.hold(40.0)
         device.words[1] = 30000
         with pytest.raises(FramingError, match="not plausible"):
@@ -110,17 +111,17 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
     [
         (changed(registers={"air": {"address": 1, "input": True, "decimal": 1}}), 'nearest: "decimals"'),
         (changed(registers={"air": {"address": 70000}}), "address"),
-        (changed(registers={"air": {"address": 1, "decimals": "digits"}}), "no reply has the field"),
+        (changed(registers={"air": {"address": 1, "decimals": "digits"}}), "decimals"),
         (changed(registers={"setpoint": {"address": 2, "shown_in": "wroking"}}), "no reply has the field"),
         (changed(tell={"setpoint": {"air": "{setpoint}"}}), "this register can only be read"),
         (changed(tell={"setpoint": {"setpoint": "{ramp}"}}), "expected a number or {setpoint}"),
         (changed(tell={"setpoint": {"setpoint": 4}}), "must write {setpoint} to a register"),
         (changed(tell={"setpoints": {"setpoint": 4}}), "is not a command of a chamber"),
-        (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "it is the command that ends a ramp"),
+        (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "tell.no_ramp: this key is missing"),
         (changed(alarm={"hot": {"field": "rum", "equals": "1"}}), "no reply has the field"),
         (OVEN | {"state": {}}, "no reply shows the effect of tell.on"),
-        (OVEN | {"limits": {}}, "give it, or describe a register lowest"),
-        (OVEN | {"tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}}}, "both commands, on and off"),
+        (OVEN | {"limits": {}}, "limits.lowest: this key is missing"),
+        (OVEN | {"tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}}}, "tell.off: this key is missing"),
     ],
 )
 def test_a_description_that_cannot_be_right_is_refused(tables: dict[str, Any], words: str) -> None:

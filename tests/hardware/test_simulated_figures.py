@@ -7,7 +7,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import SimulatedImu
+from gradcal_jax.hardware.simulate.imu import SimulatedImu, one
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.spec import presets
 
@@ -87,8 +87,8 @@ def test_functions_beyond_the_maps_have_the_size_that_the_spec_says():
     drawn = [draw_truth(gj.changed(OF_BIAS, HIDDEN), seed, 0) for seed in range(200)]
     assert drawn[3].names == known.names
     beyond = [error for truth in drawn for error in truth.triads["gyro"].errors[len(known.triads["gyro"].errors) :]]
-    scales = np.array([error.values[0].T for error in beyond if callable(error.factors)])
-    biases = np.array([error.values[0, 0] for error in beyond if error.factors == "one"])
+    scales = np.array([error.values[0].T for error in beyond if error.factors is not one])
+    biases = np.array([error.values[0, 0] for error in beyond if error.factors is one])
     gyro = OF_BIAS.sensor.gyro
     in_map = np.zeros((6, 5), bool)
     in_map[: gyro.scale_factor.temperature.size, : gyro.scale_factor.rate.size] = True

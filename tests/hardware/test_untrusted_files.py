@@ -96,7 +96,7 @@ def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
 
 def watched(folder: Path, status: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     (folder / "status.json").write_text(json.dumps(status) if not isinstance(status, str) else status)
-    result = main(["rig", "watch", str(folder), "--once"])
+    result = main(["rig", "watch", str(folder)])
     told = capsys.readouterr()
     return result, told.out + told.err
 

@@ -39,11 +39,11 @@ def prediction(tables: Tables) -> Tables:
     return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
 
 
-JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk")
+JUDGED = ("verdict", "with_typical", "another_run", "worst")
 
 
 def judgement(tables: Tables) -> Tables:
-    """What verdicts count on a spec of one axis: by requirement the judged values and chances, and the share of every
+    """What verdicts count on a spec of one axis: by requirement the judged values, and the share of every
     error; typical figures of omitted terms."""
     spec = spec_of(tables)
     answer, shares = predict(spec), counted_shares(spec)

@@ -5,7 +5,7 @@ import pytest
 from report_samples import calibration, recipe
 
 from gradcal_jax.estimation.calibration_of_fit import residuals_of
-from gradcal_jax.plots.calibration_maps import draw_residuals
+from gradcal_jax.plots.calibration import draw_residuals
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from made_recipe import made_of
 
 from gradcal_jax.recipe.recipe import parse_recipe, read_recipe, recipe_of
-from gradcal_jax.recipe.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.recipe.tracks import tracks_of
+from gradcal_jax.recipe.rounding import rounded
+from gradcal_jax.recipe.tracks import ControllerSteps, steps_of, tracks_of
 from gradcal_jax.spec import changes, presets
 from gradcal_jax.spec import spec as spec_file
 from gradcal_jax.tables import writing
@@ -68,8 +68,9 @@ def test_rounding_keeps_visits_that_fill_their_ramp_to_the_last_second(visits, s
 
 
 def test_the_tracks_say_when_everything_begins_and_what_it_waits_for():
-    chamber, (block,) = tracks_of(rounded(MEMS).spec)
-    soak, ramp = chamber.programme
+    fine = changes.changed(MEMS, {"rig.resolution.acceleration": "0.000001 deg/s^2"})
+    chamber, (block,) = tracks_of(rounded(fine).spec)
+    soak, ramp = chamber
     assert (soak.begins, ramp.begins) == ("when stable", "when stable")
     assert (float(ramp.start), float(ramp.duration), ramp.slope.text) == (3600.0, 6600.0, "1 K/min")
     assert (block.begins_with, block.repeat) == ("ramp 1", 18)
@@ -96,7 +97,7 @@ def test_a_programme_waits_after_soaks_and_steps_and_a_standard_plan_at_every_te
     ]
     keys = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
     chamber, motion = tracks_of(rounded(changes.changed(MEMS, keys)).spec)
-    begins = [(s.name, s.begins) for s in chamber.programme]
+    begins = [(s.name, s.begins) for s in chamber]
     assert begins == [
         ("soak 1", "when stable"),
         ("ramp 1", "when stable"),
@@ -107,8 +108,8 @@ def test_a_programme_waits_after_soaks_and_steps_and_a_standard_plan_at_every_te
     assert [block.begins_with for block in motion] == ["ramp 1", "soak 2"]
     standard = spec_file.parse_spec(presets.text("paper-dynamic-standard"))
     chamber, motion = tracks_of(standard)
-    assert len(chamber.programme) == 2 * len(standard.plan.temperatures)
-    assert all(s.begins == "when stable" for s in chamber.programme if s.name.startswith("points"))
+    assert len(chamber) == 2 * len(standard.plan.temperatures)
+    assert all(s.begins == "when stable" for s in chamber if s.name.startswith("points"))
     assert [float(m.rate) for m in motion[0].moves if m.rate is not None] == [
         float(r) for r in standard.plan.rates if r
     ]
@@ -121,7 +122,6 @@ def test_rounding_keeps_whole_turns_repetitions_and_the_period():
     assert after.period <= before.period + 1e-9
     assert [m.angle for m in moves_of(result.spec)] == [m.angle for m in moves_of(PAPER)]
     assert all(m.shape in ("rest", "linear ramps") for m in moves_of(result.spec))
-    assert len(result.changes) == 7
     assert "trapezoids" in result.notes[0]
 
 
@@ -195,22 +195,3 @@ def test_every_recipe_of_the_experiments_is_read(path):
     recipe = read_recipe(path)
     assert recipe.spec.sensor.gyro.axes == ("x",)
     assert parse_recipe(writing.to_toml(recipe)) == recipe
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        (lambda t: t["motion"][0]["moves"][1].update(rate="301 deg/s"), "motion[0].moves[1].rate"),
-        (lambda t: t["motion"][0]["moves"][1].update(angle="7560.002 deg"), "motion[0].moves[1].angle"),
-        (lambda t: t["motion"][0]["moves"][1].update(axis="y"), "motion[0].moves[1].axis"),
-        (lambda t: t["motion"][0]["moves"].pop(), "motion[0].moves"),
-        (lambda t: t["motion"][0]["moves"].append(t["motion"][0]["moves"][0]), "motion[0].moves"),
-        (lambda t: t["chamber"]["programme"][1].update(duration="1 h"), "chamber.programme[1].duration"),
-    ],
-)
-def test_a_recipe_that_was_changed_by_hand_is_refused_with_the_key(change, key):
-    tables = tomllib.loads(writing.to_toml(made_of(PAPER)))
-    change(tables)
-    with pytest.raises(SpecError, match="make the recipe again") as caught:
-        recipe_of(tables, "recipe.toml")
-    assert key in {problem.dotted for problem in caught.value.problems}

@@ -38,7 +38,7 @@ PREDICTION = {
     "duration_s": 9600.0, "soak_s": 3600.0, "motion_s": 6000.0,
     "requirements": [
         {
-            "name": "full range", "quantity": "scale_factor", "unit": "ppm", "axis": "x",
+            "name": "full range", "quantity": "gyro_scale_factor", "unit": "ppm", "axis": "x",
             "temperature_c": [-30.0, 70.0], "rate_dps": [-300.0, 300.0], "grid": [101, 121],
             "statistic": "mean of max", "mean_of_max": 85.0, "max": None, "mean": None, "rms": None,
             "target": 80.0, "verdict": "missed", "limited_by": None,

@@ -10,7 +10,7 @@ Unverified on real hardware: everything; each description says what its sources 
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -21,6 +21,7 @@ from gradcal_jax.hardware.description import described
 from gradcal_jax.hardware.drivers.base import ChamberDriver, DriverOptions, command_and_verify
 from gradcal_jax.hardware.errors import FramingError, Rejected
 from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.templates import shows
 from gradcal_jax.hardware.transport import Transport
 from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Time
@@ -37,9 +38,9 @@ class DescribedOptions(DriverOptions):
     """Options of a device that is described."""
 
     kind: ClassVar[type[Section]]
-    protocol: Any = ""
+    protocol: str | dict[str, Any] = ""
     """Name of one of this program's descriptions, or the tables of one."""
-    changes: Any = None
+    changes: dict[str, Any] | None = None
     """Tables that differ from it; `false` in the place of one that is left out."""
 
     @cached_property
@@ -91,13 +92,31 @@ class Speaker(ABC):
         """The fields of these names, in this order; fields that the description lacks are absent."""
 
     @abstractmethod
-    def tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        """Send a command; returns its values as text."""
+    def tell(self, name: str, values: Mapping[str, float]) -> None:
+        """Send a command, with values in the device's unit."""
 
     @abstractmethod
-    def tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
-        """Send a command's value, in the device's unit, until the device shows it; returns the value shown. `ramps`:
-        what is in force moves towards it."""
+    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+        """The fields that show a command's effect, and what they must show; that of its own value first. `ramps`: what
+        is in force moves towards it."""
+
+    def tell_shown(
+        self,
+        name: str,
+        values: Mapping[str, float],
+        *fields: str,
+        holds: Callable[[Texts], bool] = lambda texts: True,
+        ramps: bool = False,
+    ) -> Texts:
+        """Send a command until the device shows it, and what it shows in `fields` holds. Returns what it shows."""
+        expected = self.expected(name, values, ramps=ramps)
+        return command_and_verify(
+            self.clock,
+            " ".join((f"{self.title}: {name}", *expected.values())),
+            lambda: self.tell(name, values),
+            lambda: self.read(*expected, *fields),
+            lambda texts: holds(texts) and all(shows(text, texts[field]) for field, text in expected.items()),
+        )
 
     @abstractmethod
     def step_of(self, command: str) -> float:
@@ -114,7 +133,7 @@ class DescribedDevice:
         required = self._said.require
         needed = self._speaker.read(*(need.field for need in required))
         for need in required:
-            if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
+            if not any(shows(text, needed[need.field]) for text in need.equals):
                 raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._title} {known.get('model', '')}".strip()
         return roles.Identity(self._speaker.name, model, known.get("serial", ""), known.get("firmware", ""))
@@ -123,13 +142,7 @@ class DescribedDevice:
         """Send a command until the device shows that state, unless it does already."""
         names = self._fields_of(state)
         if self._is(state, self._speaker.read(*names)) is not on:
-            command_and_verify(
-                self._clock,
-                f"{self._title} {name}",
-                lambda: self._speaker.tell(name),
-                lambda: self._speaker.read(*names),
-                lambda texts: self._is(state, texts) is on,
-            )
+            self._speaker.tell_shown(name, {}, *names, holds=lambda texts: self._is(state, texts) is on)
 
     def _is(self, name: str, texts: Texts) -> bool:
         return name in self._said.state and self._holds(self._said.state[name], texts)
@@ -192,10 +205,10 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
             # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
         unit = self._said.units.ramp
-        shown = self._speaker.tell_shown("ramp", units.convert(rate_k_per_min, "K/min", unit))
+        shown, *_ = self._speaker.tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}).values()
         self._go_to(temperature_c, ramps=True)
         self._condition(True)
-        return units.convert(shown, unit, "K/min")
+        return units.convert(float(shown), unit, "K/min")
 
     def standby(self) -> None:
         if "off" not in self._said.tell:
@@ -204,15 +217,15 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
         self._free_ramp()
 
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
-        unit = self._said.units.temperature
-        self._speaker.tell_shown("setpoint", units.convert(temperature_c, "degC", unit), ramps=ramps)
+        value = units.convert(temperature_c, "degC", self._said.units.temperature)
+        self._speaker.tell_shown("setpoint", {"setpoint": value}, ramps=ramps)
 
     def _free_ramp(self) -> None:
         """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
         if "no_ramp" in self._said.tell:
             self._switch("no_ramp", "ramps", False)
         elif "ramp" in self._said.tell:
-            self._speaker.tell_shown("ramp", self._said.limits.free_ramp)
+            self._speaker.tell_shown("ramp", {"ramp": self._said.limits.free_ramp})
 
     def _condition(self, on: bool) -> None:
         if "on" in self._said.tell:
@@ -237,10 +250,3 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
             what = f"{self._title} reports {temperature_c} degC, which is not plausible"
             raise FramingError(f"{what}. Check the line, the sensor, and the description of the protocol.")
         return temperature_c
-
-
-def _same_number(left: str, right: str) -> bool:
-    try:
-        return float(left) == float(right)
-    except ValueError:
-        return False

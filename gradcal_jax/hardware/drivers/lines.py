@@ -8,9 +8,9 @@ Unverified on real hardware: everything; each description says what its sources 
 """
 
 import math
-import threading
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, cached_property, partial
 from typing import Literal
 
@@ -74,11 +74,11 @@ class Codec:
 
     def texts(self, received: bytes) -> list[str]:
         """The complete messages among bytes; those that are damaged are left out."""
-        if not self._reply_ends:
-            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
-            frames = [line for line in lines if line]
-        else:
+        if self._reply_ends:
             *frames, _ = received.split(self._reply_ends)
+        else:
+            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
+            frames = list(filter(None, lines))
         if self._framed:
             bodies = (bytes(byte & 0x7F for byte in frame.rpartition(b"\x02")[2]) for frame in frames if 2 in frame)
             address = self._line.address & 0x7F
@@ -93,8 +93,7 @@ class Lines(Speaker):
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
         self._codec = Codec(self.said)
-        self._homes = False
-        self._cut_short = threading.Event()
+        self._homes = self._cut_short = False
 
     def read(self, *names: str) -> Texts:
         fields: Texts = {}
@@ -126,25 +125,20 @@ class Lines(Speaker):
 
         return self.exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
-    def tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
+    def tell(self, name: str, values: Mapping[str, float]) -> None:
         command = self.said.tell[name]
-        written: Texts = {}
+        longest_s = float(self.config.home_timeout) if command.reply_when_done else None
         for number, send in enumerate(command.send):
-            text, values_sent = formatted(send, values or {})
-            written |= values_sent
-            message = self._codec.message(text, bare=command.bare)
+            message = self._codec.message(formatted(send, values)[0], bare=command.bare)
             if not command.reply:
                 self.exchange.write(message)
                 continue
-            reply = command.reply[min(number, len(command.reply) - 1)]
-            longest_s = float(self.config.home_timeout) if command.reply_when_done else None
-            parse = partial(self._acknowledgement, reply)
+            parse = partial(self._acknowledgement, command.reply[min(number, len(command.reply) - 1)])
             self.exchange.query(message, parse, repeat=False, reply_timeout_s=longest_s)
-        return written
 
     def _acknowledgement(self, reply: str, received: bytes) -> str | None:
         for text in self._codec.texts(received):
-            if self._homes and self._cut_short.is_set():
+            if self._homes and self._cut_short:
                 raise Rejected("It was interrupted by a stop.")
             if self._refused(text):
                 raise Rejected(f"It refuses: {text!r}. See its manual.")
@@ -159,34 +153,25 @@ class Lines(Speaker):
     def _acknowledges(self, text: str) -> bool:
         return any(_pattern(reply).fullmatch(text) for command in self.said.tell.values() for reply in command.reply)
 
-    def tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
-        return float(self.until_shown(name, {name: value}))
+    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+        if not values:
+            return {}
+        shown_by = self.said.tell[name].shown_by or ("target" if "target" in self.said.fields else "setpoint",)
+        return dict.fromkeys(shown_by, self.text_of(name, values))
 
-    def until_shown(self, name: str, values: Mapping[str, float]) -> str:
-        """Send a command's value until the device shows it; returns what is shown."""
-        command = self.said.tell[name]
-        shown_by = command.shown_by or ("target" if "target" in self.said.fields else "setpoint",)
-        (value,) = {text for send in command.send for text in formatted(send, values)[1].values()}
-        shown = command_and_verify(
-            self.clock,
-            f"{name} {value}",
-            lambda: self.tell(name, values),
-            lambda: self.read(*shown_by),
-            lambda texts: all(shows(value, texts[field]) for field in shown_by),
-        )
-        return shown[shown_by[0]]
+    def text_of(self, command: str, values: Mapping[str, float]) -> str:
+        """The text of the value of a command that has one."""
+        (text,) = {text for send in self.said.tell[command].send for text in formatted(send, values)[1].values()}
+        return text
 
     def step_of(self, command: str) -> float:
-        (text,) = {
-            text for send in self.said.tell[command].send for text in formatted(send, {command: 1.0})[1].values()
-        }
-        return 10.0 ** -len(text.partition(".")[2]) if "." in text else 0.0
+        decimals = self.text_of(command, {command: 1.0}).partition(".")[2]
+        return 10.0 ** -len(decimals) if decimals else 0.0
 
     def home(self) -> None:
-        self._cut_short.clear()
-        self._homes = True
+        self._homes, self._cut_short = True, False
         try:
-            self.tell("home")
+            self.tell("home", {})
         finally:
             self._homes = False
 
@@ -196,7 +181,7 @@ class Lines(Speaker):
         interrupt = self.said.tell.get("stop_homing")
         if interrupt is None or not self._homes:
             return
-        self._cut_short.set()
+        self._cut_short = True
         for send in interrupt.send:
             self.exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
 
@@ -303,7 +288,7 @@ class LinesAxis(DescribedDevice, MotionAxis):
             far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
-            self._speaker.until_shown("spin", values)
+            self._speaker.tell_shown("spin", values)
             return
         what, send = f"The rate {rate_dps:g} deg/s", lambda: self._speaker.tell("spin", values)
         command_and_verify(self._clock, what, send, self.read, lambda reading: reading.moving)
@@ -312,19 +297,15 @@ class LinesAxis(DescribedDevice, MotionAxis):
         # A stop is harmless when repeated: it is sent until the axis stands.
         end_s = self._clock.now() + _LONGEST_STOP_S
         self._speaker.stop_homing()
-        while True:
-            try:
-                self._speaker.tell("stop")
-            except (ReplyTimeout, FramingError):
-                if self._clock.now() > end_s:
-                    raise
+        while self._clock.now() <= end_s:
+            with suppress(ReplyTimeout, FramingError):
+                self._speaker.tell("stop", {})
             again_s = self._clock.now() + _STOPS_AGAIN_S
             while self._clock.now() < again_s:
                 if not self.read().moving:
                     return
                 self._clock.sleep(_POLL_S)
-            if self._clock.now() > end_s:
-                raise NotVerified(f"The axis is still moving {_LONGEST_STOP_S:g} s after the stop command.")
+        raise NotVerified(f"The axis is still moving {_LONGEST_STOP_S:g} s after the stop command.")
 
     def safe(self, policy: str) -> SafeReport:
         self.stop()
@@ -377,12 +358,11 @@ class LinesAxis(DescribedDevice, MotionAxis):
         values = self._motion(rate_dps, acceleration_dps2)
         for name in ("acceleration", "rate"):
             if name in self._said.tell:
-                (template, *_) = self._said.tell[name].send
-                self.settings.change(name, formatted(template, values)[1][name])
+                self.settings.change(name, self._speaker.text_of(name, values))
 
     def _setting(self, name: str) -> str:
         shown_by = self._said.tell[name].shown_by
         return self._speaker.read(*shown_by)[shown_by[0]]
 
     def _set(self, name: str, value: str) -> None:
-        self._speaker.until_shown(name, {name: float(value)})
+        self._speaker.tell_shown(name, {name: float(value)})

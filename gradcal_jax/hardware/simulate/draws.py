@@ -8,10 +8,13 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from gradcal_jax import formulas
+from gradcal_jax.hardware.simulate import imu
 from gradcal_jax.hardware.simulate.imu import (
     ErrorTerm,
+    Factors,
     ImuTruth,
     Kind,
     PlayTruth,
@@ -25,49 +28,32 @@ from gradcal_jax.hardware.simulate.plants import AxisTruth
 from gradcal_jax.spec.absent import absent_lever_arm
 from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.places import rotation_of
-from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.spec.temperature_path import DIFFERENCE
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
-_GRADIENT: Final = "bias_temperature_gradient"
 _PLAY: Final = "hysteresis_{:g}K"
-# The lag of a second thermometer is as the spec says within this share.
-_LAG_SPREAD: Final = 0.2
 _TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
 # factors, and names of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
-_ERRORS: Final[dict[Kind, tuple[tuple[str, float, str, list[list[str]]], ...]]] = {
+_ERRORS: Final[dict[Kind, tuple[tuple[str, float, Factors, list[list[str]]], ...]]] = {
     "gyro": (
-        ("bias", np.radians(0.02), "one", [["a"]] * 3),
-        ("scale_factor", 1e-3, "", []),
-        ("misalignment", 1e-3, "inputs", _OTHERS),
-        ("g_sensitivity", np.radians(10.0) / 3600.0 / 9.8, "force", [[f"g_{a}" for a in _XYZ]] * 3),
+        ("bias", np.radians(0.02), imu.one, [["a"]] * 3),
+        ("scale_factor", 1e-3, imu.one, []),
+        ("misalignment", 1e-3, imu.all_inputs, _OTHERS),
+        ("g_sensitivity", np.radians(10.0) / 3600.0 / 9.8, imu.all_forces, [[f"g_{a}" for a in _XYZ]] * 3),
     ),
     "accelerometer": (
-        ("bias", 5e-3 * 9.8, "one", [["a"]] * 3),
-        ("scale_factor", 1e-3, "own", [["s"]] * 3),
-        ("misalignment", 1e-3, "inputs", _OTHERS),
-        ("second_order", 1e-4 / 9.8, "own squared", [["k2"]] * 3),
+        ("bias", 5e-3 * 9.8, imu.one, [["a"]] * 3),
+        ("scale_factor", 1e-3, imu.own_input, [["s"]] * 3),
+        ("misalignment", 1e-3, imu.all_inputs, _OTHERS),
+        ("second_order", 1e-4 / 9.8, imu.own_squared, [["k2"]] * 3),
     ),
 }
-
-
-def processes_of(
-    drift: Sequence[Any], instability: Sequence[Any], error: TemperatureError | None
-) -> tuple[Process, ...]:
-    """The processes of a spec's drifts, scale-factor errors, and error of the measured temperature."""
-    biases = (Process(float(d.standard_deviation), float(d.correlation_time), 1.0) for d in drift)
-    scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
-    if error is None:
-        return (*biases, *scales)
-    lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
-    gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
-    return (*biases, *scales, Process(float(error.standard_deviation), lasts, *gains))
 
 
 def _constant(x: Vectors) -> Vectors:
@@ -79,58 +65,76 @@ def _ordinal(section: Any, number: int) -> str:
     return f"{kind}{number}"
 
 
+def _processes(triad: GyroTriad | AccelerometerTriad) -> Iterator[Process]:
+    """Drifts, scale-factor errors, and the error of the measured temperature."""
+    for of in triad.drift:
+        yield Process(float(of.standard_deviation), float(of.correlation_time), 1.0)
+    for of in triad.scale_factor_instability:
+        yield Process(float(of.standard_deviation), float(of.correlation_time), 0.0, 1.0)
+    if (error := triad.thermometer_noise) is not None:
+        lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
+        gains = float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0)
+        yield Process(float(error.standard_deviation), lasts, *gains)
+
+
 class _Draws:
-    def __init__(self, random: np.random.Generator) -> None:
-        self.random = random
+    """What is drawn for the unit of a number; `values`: by its names in the calibration."""
+
+    def __init__(self, seed: int, number: int) -> None:
+        of = (20261, 20265, 20267, 20268)
+        self.random, self.path, self.hidden, self.die = (default_rng([seed, number, k]) for k in of)
         self.values: dict[str, float] = {}
 
-    def triad(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> TriadTruth:
+    def triad(self, kind: Kind, triad: Any) -> TriadTruth:
         errors: list[ErrorTerm] = []
         for name, typical, factors, symbols in _ERRORS[kind]:
             section: Any = getattr(triad, name)
             if section is not None:
                 size = float(section.prior) if isinstance(section.prior, float) else typical
-                if factors:
+                if symbols:
                     errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
                 else:
                     errors.append(self._scale_factors(section, size, triad.axes))
         if triad.turn_on_bias:
             errors.append(self._turn_on(kind, float(triad.turn_on_bias), triad.axes))
         gradient = self._gradient(kind, triad)
-        white, walk = (
-            (float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0))
-            if isinstance(triad, GyroTriad)
-            else (float(triad.velocity_random_walk), 0.0)
-        )
-        drifts = processes_of(triad.drift, triad.scale_factor_instability, triad.thermometer_noise)
-        return TriadTruth(tuple(errors), white, walk, drifts, gradient)
+        white = triad.angle_random_walk if kind == "gyro" else triad.velocity_random_walk
+        walk = triad.rate_random_walk if kind == "gyro" else None
+        errors += self._beyond_maps(triad)
+        loops = tuple(self._plays(kind, triad))
+        return TriadTruth(tuple(errors), float(white), float(walk or 0.0), tuple(_processes(triad)), gradient, loops)
 
-    def _turn_on(self, kind: Kind, size: float, axes: tuple[str, ...]) -> ErrorTerm:
+    def _three(self, random: Generator, size: float, kind: Kind, name: str, axes: Sequence[str]) -> Vectors:
+        """A named value of each of three sensors."""
+        values = size * random.standard_normal(3)
+        self.values |= {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in axes}
+        return values
+
+    def _turn_on(self, kind: Kind, size: float, axes: Sequence[str]) -> ErrorTerm:
         """The bias of this power-on, a part of the bias's constant; splines and bins sum to one."""
         values = size * self.random.standard_normal((3, 1, 1))
         for row, axis in enumerate(_XYZ):
             for name in self.values:
                 if axis in axes and re.fullmatch(rf"{kind}_{axis}\.a(0|_(bin|spline)\d+)?", name):
                     self.values[name] += float(values[row, 0, 0])
-        return ErrorTerm(values, _constant, "one")
+        return ErrorTerm(values, _constant, imu.one)
 
-    def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, ...]:
+    def _gradient(self, kind: Kind, triad: Any) -> tuple[float, ...]:
         if triad.bias_temperature_gradient is None:
             return (0.0, 0.0, 0.0)
-        typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0
-        values = (triad.gradient_std or typical) * self.random.standard_normal(3)
-        if triad.gradient_sensitivity is not None:
-            self.values |= _named(kind, _GRADIENT, values, triad.axes)
-        return tuple(values.tolist())
+        # Of a sensitivity that is not estimated no parameter has the name.
+        axes, typical = (triad.axes, _TYPICAL_GRADIENT[kind]) if triad.gradient_sensitivity is not None else ((), 0.0)
+        size = triad.gradient_std or typical
+        return tuple(self._three(self.random, size, kind, "bias_temperature_gradient", axes).tolist())
 
     def _term(
-        self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
+        self, kind: Kind, section: Any, size: float, factors: Factors, symbols: list[list[str]], axes: Sequence[str]
     ) -> ErrorTerm:
         of_t = section.temperature
         basis, count = (_constant, 1) if of_t is None else (of_t.values, of_t.size)
         values = size * self.random.standard_normal((3, len(symbols[0]), count))
         # A gyro's bias is numbered also where it is constant.
-        counted = count > 1 or (kind, factors) == ("gyro", "one")
+        counted = count > 1 or (kind, factors) == ("gyro", imu.one)
         for row, column, power in np.ndindex(values.shape):
             if symbols[row][column] and _XYZ[row] in axes:
                 ending = ("0" if of_t is None else _ordinal(of_t, power)) if counted else ""
@@ -139,7 +143,7 @@ class _Draws:
                 values[row, column, power] = 0.0
         return ErrorTerm(values, basis, factors)
 
-    def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
+    def _scale_factors(self, section: Any, size: float, axes: Sequence[str]) -> ErrorTerm:
         of_t, of_w = section.temperature, section.rate
         values = size * self.random.standard_normal((3, of_t.size, of_w.size))
         powers = all(isinstance(of, PolynomialKeys) for of in (of_t, of_w)) and max(values.shape[1:]) <= 10
@@ -147,34 +151,28 @@ class _Draws:
             symbol = f"b{j}{i}" if powers else f"b{_ordinal(of_w, j)}_{_ordinal(of_t, i)}"
             if _XYZ[row] in axes:
                 self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
-        return ErrorTerm(values.transpose(0, 2, 1), of_t.values, of_w.values)
+        return ErrorTerm(values.transpose(0, 2, 1), of_t.values, imu.rate_functions(of_w.values))
 
+    def _plays(self, kind: Kind, triad: Any) -> Iterator[PlayTruth]:
+        for plays, name in ((triad.hysteresis, _PLAY), (triad.scale_factor_hysteresis, f"scale_factor_{_PLAY}")):
+            for play in plays:
+                width_k = float(play.width)
+                slopes = self._three(self.path, float(play.prior), kind, name.format(width_k), triad.axes)
+                yield PlayTruth(tuple(slopes.tolist()), width_k, name != _PLAY)
 
-def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[str, float]:
-    return {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in axes}
-
-
-def _draw_plays(
-    triad: GyroTriad | AccelerometerTriad, kind: Kind, random: np.random.Generator, names: dict[str, float]
-) -> Iterator[PlayTruth]:
-    """The plays of three sensors; `names`: their names and coefficients, added to."""
-    for plays, name in ((triad.hysteresis, _PLAY), (triad.scale_factor_hysteresis, f"scale_factor_{_PLAY}")):
-        for play in plays:
-            slopes = float(play.prior) * random.standard_normal(3)
-            names |= _named(kind, name.format(float(play.width)), slopes, triad.axes)
-            yield PlayTruth(tuple(slopes.tolist()), float(play.width), name != _PLAY)
-
-
-def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]:
-    """Structure beyond a triad's maps, of the size of its discrepancies: Legendre polynomials of higher degrees."""
-    sections: Any = ((triad.bias, False), (getattr(triad, "scale_factor", None), True))
-    for section, of_input in sections:
-        if (of := getattr(section, "discrepancy", None)) is not None:
+    def _beyond_maps(self, triad: Any) -> Iterator[ErrorTerm]:
+        """Structure of the size of a triad's discrepancies: Legendre polynomials of degrees that its maps lack."""
+        maps: Any = ((triad.bias, False), (getattr(triad, "scale_factor", None), True))
+        for section, of_input in maps:
+            if (of := getattr(section, "discrepancy", None)) is None:
+                continue
             count, known = (of.rate_degree + 1, section.rate.size) if of_input else (1, 1)
-            values = float(of.standard_deviation) * random.standard_normal((3, of.temperature_degree + 1, count))
+            values = float(of.standard_deviation) * self.hidden.standard_normal((3, of.temperature_degree + 1, count))
             values[:, : section.temperature.size, :known] = 0.0
             basis = partial(_legendre, section.temperature, of.temperature_degree)
-            factors = partial(_legendre, section.rate, of.rate_degree) if of_input else "one"
+            factors = imu.one
+            if of_input:
+                factors = imu.rate_functions(partial(_legendre, section.rate, of.rate_degree))
             yield ErrorTerm(values.transpose(0, 2, 1), basis, factors)
 
 
@@ -183,54 +181,29 @@ def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
     return formulas.legendre((x - float(powers.centre)) / float(powers.scale), degree)
 
 
-def _draw_differences(
-    sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
-) -> Iterator[ErrorTerm]:
-    """Errors of three sensors by the difference of two thermometers; `names`: their names and values, added to."""
-    triad: Any = getattr(sensor, kind)
-    for term in triad.term:
-        if term.factors != (DIFFERENCE,) or term.target != "bias":
-            continue
-        values = term.prior_in_si("rad/s" if kind == "gyro" else "m/s^2") * random.standard_normal(3)
-        names |= _named(kind, term.name, values, triad.axes)
-        slopes = values[:, None, None]
-        yield ErrorTerm(slopes, lambda apart_k: apart_k[:, None], "one", second_lag_s, differs=True)
-
-
 def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
-    draws = _Draws(np.random.default_rng([seed, number, 20261]))
-    sensor = spec.sensor
+    draws, sensor = _Draws(seed, number), spec.sensor
+    names, random, normal = draws.values, draws.random, draws.die.standard_normal
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
-    path, hidden, random = (np.random.default_rng([seed, number, of]) for of in (20265, 20267, 20266))
-    second, second_lag_s = sensor.second_thermometer, 0.0
-    if second is not None:
-        second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(random.uniform(-1.0, 1.0)))
-    for kind, truth in triads.items():
-        differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
-        errors = *truth.errors, *_draw_hidden(both[kind], hidden), *differences
-        loops = tuple(_draw_plays(both[kind], kind, path, draws.values))
-        triads[kind] = replace(truth, errors=errors, loops=loops)
-    lever = _LEVER_M * draws.random.standard_normal(3)
-    clock = 0.0
+    lever, clock = _LEVER_M * random.standard_normal(3), 0.0
     if sensor.sample_clock_error:
-        clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
-    apart = draws.random.standard_normal(3)
+        clock = names["sample_clock"] = float(sensor.sample_clock_error) * float(random.standard_normal())
     felt = None if sensor.gyro is None else sensor.gyro.g_sensitivity
-    if felt is not None and felt.lever_arm is not None and sensor.accelerometer is None:
-        lever *= float(felt.lever_arm) / _LEVER_M
-    apart *= _APART_M if felt is None or felt.lever_arm is None else float(felt.lever_arm)
+    stated_m = None if felt is None or felt.lever_arm is None else float(felt.lever_arm)
+    if stated_m is not None and sensor.accelerometer is None:
+        lever *= stated_m / _LEVER_M
+    apart = random.standard_normal(3) * (_APART_M if stated_m is None else stated_m)
     of_gyros = lever + apart
-    if sensor.gyro is not None and felt is not None and (felt.lever_arm or absent_lever_arm(spec)):
-        unmeasured = of_gyros if sensor.accelerometer is None else apart
-        draws.values |= _rotation(draws.values, unmeasured, sensor.gyro.axes)
+    if sensor.gyro is not None and felt is not None and (stated_m or absent_lever_arm(spec)):
+        names |= _rotation(names, of_gyros if sensor.accelerometer is None else apart, sensor.gyro.axes)
+    late_s = float(sensor.temperature_lag or 0.0) * abs(float(normal()))
+    offset_k = float(sensor.temperature_offset or 0.0) * float(normal())
+    if offset_k:
+        names["temperature_offset"] = offset_k
     levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
-    thermometer = np.random.default_rng([seed, number, 20268])
-    late_s = float(sensor.temperature_lag or 0.0) * abs(float(thermometer.standard_normal()))
-    offset_k = float(sensor.temperature_offset or 0.0) * float(thermometer.standard_normal())
-    draws.values |= {"temperature_offset": offset_k} if offset_k else {}
-    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s, late_s, offset_k)
+    return ImuTruth(triads, *levers, clock, names, late_s, offset_k)
 
 
 def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:
@@ -248,7 +221,7 @@ def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> 
 
 def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
     """The table's attitude and encoders, and those of its parameters that are in the calibration, by name, SI."""
-    random = np.random.default_rng([seed, 20262])
+    random = default_rng([seed, 20262])
     rig, named = spec.rig, dict[str, float]()
     table, site = rig.table, rig.site
 
@@ -263,7 +236,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
     leans = tuple(
         draw(float(a.orthogonality), f"orthogonality_{a.name}_{b.name}") for a, b in itertools.pairwise(table.axis)
     )
-    unshown = np.random.default_rng([seed, 20269])
+    unshown = default_rng([seed, 20269])
     encoders: list[AxisTruth] = []
     for number, axis in enumerate(table.axis, start=1):
         waves: list[tuple[int, float, float]] = []
@@ -296,7 +269,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
 
 def draw_places(spec: Spec, truth: TableTruth, seed: int) -> list[TableTruth]:
     """The table as it holds the IMU at each place of a fixture, each off by the place's own accuracy."""
-    random, in_case = np.random.default_rng([seed, 20264]), _in_case(spec)
+    random, in_case = default_rng([seed, 20264]), _in_case(spec)
     tables: list[TableTruth] = []
     for place in spec.rig.table.place:
         off = (float(place.accuracy) if in_case else 0.0) * random.standard_normal(3)

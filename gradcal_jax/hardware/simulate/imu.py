@@ -12,8 +12,7 @@ interval, with the sensors' own errors (IEEE 1431, 1293):
     accelerometer  s_i + b(T) + s(T)s_i + k(T)s_i² + h(T)s_i³ + a(T)|s_i| + Σ c_jl(T)f_j f_l + drift + walk
     both           s_i = ω_i + Σ m_ij(T)ω_j, or of f: the input along the sensor's own axis of sensitivity, on which
                    its scale factor acts;
-                   loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
-                   temperature to other masses, one of which the second thermometer measures
+                   loops over the temperature (`Loop`)
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
@@ -21,13 +20,13 @@ Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, Protocol
+from itertools import accumulate
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.formulas import lag_filter
-from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.simulate.plants import AxisPlant, Mass, filtered
 
 Vectors = NDArray[np.float64]
 Functions = Callable[[Vectors], Vectors]
@@ -35,21 +34,40 @@ Functions = Callable[[Vectors], Vectors]
 Kind = Literal["gyro", "accelerometer"]
 Loop = Callable[[Vectors, float], Vectors]
 """The errors `(n, 3)` of a hysteresis loop at consecutive temperatures `(n,)`, with their period (s)."""
+Factors = Callable[[Vectors, Vectors], Vectors]
+"""The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
+three sensors and of the specific force, `(n, 3)` each."""
 
 EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
 # Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
 _PARTS = 3
 
-FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], Vectors]]] = {
-    "one": lambda own, force: np.ones((len(own), 1, 1)),
-    "own": lambda own, force: own[..., None],
-    "own squared": lambda own, force: own[..., None] ** 2,
-    "inputs": lambda own, force: own[:, None],
-    "force": lambda own, force: force[:, None],
-}
-"""The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
-three sensors and of the specific force, `(n, 3)` each."""
+
+def one(own: Vectors, force: Vectors) -> Vectors:
+    return np.ones((len(own), 1, 1))
+
+
+def own_input(own: Vectors, force: Vectors) -> Vectors:
+    return own[..., None]
+
+
+def own_squared(own: Vectors, force: Vectors) -> Vectors:
+    return own[..., None] ** 2
+
+
+def all_inputs(own: Vectors, force: Vectors) -> Vectors:
+    """Of misalignments, which change what the sensors sense, before their other errors."""
+    return own[:, None]
+
+
+def all_forces(own: Vectors, force: Vectors) -> Vectors:
+    return force[:, None]
+
+
+def rate_functions(functions: Functions) -> Factors:
+    """The rate times functions of it: those of M(T, ω)."""
+    return lambda own, force: functions(own.ravel()).reshape(*own.shape, -1) * own[..., None]
 
 
 class HysteresisLoop(Protocol):
@@ -75,41 +93,16 @@ class PlayTruth:
     def begin(self, temperature_c: float) -> Loop:
         place_k, slopes = temperature_c, np.array(self.slopes)
 
-        def follow(temperatures_c: Vectors) -> Vectors:
+        def pushed(place_k: float, at_c: float) -> float:
+            return min(max(place_k, at_c - self.width_k), at_c + self.width_k)
+
+        def loop(temperatures_c: Vectors, period_s: float) -> Vectors:
             nonlocal place_k
-            if np.ptp(temperatures_c) >= 2.0 * self.width_k and len(temperatures_c) > 1:
-                half = len(temperatures_c) // 2
-                return np.concatenate([follow(temperatures_c[:half]), follow(temperatures_c[half:])])
-            # Within two half-widths one end of the play alone can push it.
-            above = np.minimum(place_k, np.minimum.accumulate(temperatures_c + self.width_k))
-            places_k = np.maximum(above, np.maximum.accumulate(temperatures_c - self.width_k))
-            place_k = float(places_k[-1])
-            return places_k
+            _, *places_k = accumulate(temperatures_c.tolist(), pushed, initial=place_k)
+            place_k = places_k[-1]
+            return (np.array(places_k) - temperatures_c)[:, None] * slopes
 
-        return lambda temperatures_c, period_s: (follow(temperatures_c) - temperatures_c)[:, None] * slopes
-
-
-def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
-    """A recursive filter along the first axis. SciPy's signals take their time to load."""
-    from scipy import signal  # pyright: ignore[reportMissingTypeStubs]
-
-    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]  # pyright: ignore
-
-
-class Mass:
-    """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
-
-    def __init__(self, temperature_c: float, time_s: float) -> None:
-        self._time_s, self._given, self._own = time_s, temperature_c, temperature_c
-
-    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
-        numerator, denominator = lag_filter(period_s, self._time_s)
-        state = np.array([numerator[1] * self._given - denominator[1] * self._own])
-        result = _filtered(numerator, denominator, temperature_c, state)
-        if len(result):
-            self._given, self._own = float(temperature_c[-1]), float(result[-1])
-        return result
+        return loop
 
 
 @dataclass(frozen=True)
@@ -125,25 +118,16 @@ class Process:
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
-    `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω). `lag_s`: of the mass whose
-    temperature it follows; `differs`: by how much that is warmer than the sensor."""
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis."""
 
     values: Vectors
     basis: Functions
-    factors: str | Functions
-    lag_s: float = 0.0
-    differs: bool = False
+    factors: Factors
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: Vectors) -> Vectors:
         count = self.values.shape[1]
         coefficients = self.basis(temperature_c) @ self.values.reshape(3 * count, -1).T
-        if isinstance(self.factors, str):
-            factors = FACTORS[self.factors](own, force)
-        else:
-            factors = self.factors(own.ravel()).reshape(*own.shape, -1) * own[..., None]
-        terms = coefficients.reshape(-1, 3, count) * factors
-        return terms[..., 0] if count == 1 else np.add.reduce(terms, axis=2)
+        return np.add.reduce(coefficients.reshape(-1, 3, count) * self.factors(own, force), axis=2)
 
 
 @dataclass(frozen=True)
@@ -176,30 +160,26 @@ class TableTruth:
 @dataclass(frozen=True)
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
-    the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
-    second thermometer measures; 0: none. The dies follow what the thermometer measures `die_lag_s` late, and it is
-    `thermometer_offset` K off."""
+    the body. `names`: the hidden parameters, by their names in a calibration. The dies follow what the
+    thermometer measures `die_lag_s` late, and it is `thermometer_offset` K off."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     gyro_lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
-    second_lag_s: float = 0.0
     die_lag_s: float = 0.0
     thermometer_offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class SensorSamples:
-    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
-    the second thermometer's temperature (None: as the first's)."""
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends."""
 
     time_s: Vectors
     rate_dps: Vectors
     acceleration_g: Vectors
     temperature_c: Vectors
-    second_c: Vectors | None = None
 
 
 class SampledSensor(ABC):
@@ -262,6 +242,52 @@ def _means(parts: Vectors) -> Vectors:
     return np.add.reduce(parts.reshape(-1, _PARTS, *parts.shape[1:]), axis=1) / _PARTS
 
 
+class _Triad:
+    """Three sensors of a kind, with what they remember."""
+
+    def __init__(self, truth: TriadTruth, random: np.random.Generator) -> None:
+        self._truth, self._random = truth, random
+        drawn = random.standard_normal((3, len(truth.drifts)))
+        self._drifts = [process.sigma * draw for process, draw in zip(truth.drifts, drawn.T, strict=True)]
+        self._walked = np.zeros(3)
+        self._loops: list[Loop] = []
+
+    def output(
+        self, own: Vectors, felt: Vectors, parts_c: Vectors, middles_c: Vectors, change: Vectors, period_s: float
+    ) -> Vectors:
+        """What they say of their inputs `own` and of the force, at temperatures, of all parts of the samples; and of
+        each sample, its temperature and the slope (K/s)."""
+        truth = self._truth
+        senses = [error for error in truth.errors if error.factors is all_inputs]
+        others = [error for error in truth.errors if error.factors is not all_inputs]
+        along = sum((error(own, felt, parts_c) for error in senses), start=own)
+        said = sum((error(along, felt, parts_c) for error in others), start=along)
+        mean = _means(along)
+        added, scaled = self._noise(len(mean), period_s)
+        said = _means(said) + added + scaled * mean + change[:, None] * np.array(truth.gradient)
+        self._loops = self._loops or [loop.begin(float(middles_c[0])) for loop in truth.loops]
+        for law, loop in zip(truth.loops, self._loops, strict=True):
+            said = said + loop(middles_c, period_s) * (mean if law.of_input else 1.0)
+        return said
+
+    def _noise(self, count: int, dt: float) -> tuple[Vectors, Vectors | float]:
+        """The additive error and the scale-factor error of every sample: `(count, 3)` each."""
+        truth = self._truth
+        draws = self._random.standard_normal((count, 3, 2 + len(truth.drifts)))
+        walk = self._walked + np.cumsum(truth.walk * dt**0.5 * draws[..., 1], axis=0)
+        self._walked = walk[-1]
+        added, scaled = truth.white / dt**0.5 * draws[..., 0] + walk, 0.0
+        for number, process in enumerate(truth.drifts):
+            decay = float(np.exp(-dt / process.tau_s))
+            size = process.sigma * np.sqrt(1.0 - decay**2)
+            state = decay * self._drifts[number][None]
+            values = filtered([size], [1.0, -decay], draws[..., 2 + number], state)
+            self._drifts[number] = values[-1]
+            added = added + process.bias_gain * values
+            scaled = scaled + process.rate_gain * values
+        return added, scaled
+
+
 class SimulatedImu(SampledSensor):
     """One unit on a table that others may share. `mounting`: the present one, from 0; the operator changes it."""
 
@@ -282,83 +308,33 @@ class SimulatedImu(SampledSensor):
         self.truth, self.table, self.mounting = truth, table, mounting
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)
-        self._random = np.random.default_rng([seed, 20263])
-        self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
-        self._drifts = {
-            kind: [process.sigma * draw for process, draw in zip(triad.drifts, drawn.T, strict=True)]
-            for kind, triad in truth.triads.items()
-            for drawn in [self._random.standard_normal((3, len(triad.drifts)))]
-        }
-        self._loops: dict[Kind, list[tuple[bool, Loop]]] = {}
-        lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors} | {truth.second_lag_s}
-        self._lags_s = sorted(lags_s - {0.0})
-        self._masses: dict[float | str, Mass] = {}
+        random = np.random.default_rng([seed, 20263])
+        self._triads: dict[Kind, _Triad] = {kind: _Triad(triad, random) for kind, triad in truth.triads.items()}
+        self._die: Mass | None = None
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
-        ends = self.ends_of(count)
-        output: dict[Kind, Vectors] = dict.fromkeys(("gyro", "accelerometer"), np.full((count, 3), np.nan))
-        if not count:
-            return SensorSamples(ends[1:], output["gyro"], output["accelerometer"], np.zeros(0))
+        ends, truth, period_s = self.ends_of(count), self.truth, self.true_period_s
         edges = np.interp(np.arange(count * _PARTS + 1) / _PARTS, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
-        acceleration = _slopes(rate, self.true_period_s / _PARTS)
+        acceleration = _slopes(rate, period_s / _PARTS)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         middles = shown = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
-        change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
-        if lag_s := self.truth.die_lag_s:
-            temperature = self._behind("die", lag_s, temperature)
+        change = np.diff(self._chamber.load_at(ends)) / period_s
+        if truth.die_lag_s:
+            self._die = self._die or Mass(float(temperature[0]), truth.die_lag_s)
+            temperature = self._die.take(temperature, period_s / _PARTS)
             middles = _means(temperature)
-            change = (shown - middles) / lag_s
-        late = {0.0: temperature} | {lag_s: self._behind(lag_s, lag_s, temperature) for lag_s in self._lags_s}
-        for kind, triad in self.truth.triads.items():
-            lever = np.array(self.truth.gyro_lever if kind == "gyro" else self.truth.lever)
+            change = (shown - middles) / truth.die_lag_s
+        absent = np.full((count, 3), np.nan)
+        output: dict[Kind, Vectors] = {"gyro": absent, "accelerometer": absent}
+        for kind, triad in self._triads.items():
+            lever = np.array(truth.gyro_lever if kind == "gyro" else truth.lever)
             felt = force + _at_lever(lever, rate, acceleration)
-            own = along = rate if kind == "gyro" else felt
-            # Misalignments change what the sensors sense, before their other errors.
-            for error in triad.errors:
-                if error.factors == "inputs":
-                    along = along + error(own, felt, late[error.lag_s])
-            said = along
-            for error in triad.errors:
-                if error.factors != "inputs":
-                    followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
-                    said = said + error(along, felt, followed)
-            mean = _means(along)
-            added, scaled = self._noise(kind, triad, count)
-            said = _means(said) + added + scaled * mean
-            if any(triad.gradient):
-                said = said + change[:, None] * np.array(triad.gradient)
-            if kind not in self._loops:
-                first_c = float(middles[0])
-                self._loops[kind] = [(loop.of_input, loop.begin(first_c)) for loop in triad.loops]
-            for of_input, loop in self._loops[kind]:
-                said = said + loop(middles, self.true_period_s) * (mean if of_input else 1.0)
-            output[kind] = said
-        second = _means(late[self.truth.second_lag_s]) if self.truth.second_lag_s else None
+            sensed = rate if kind == "gyro" else felt
+            output[kind] = triad.output(sensed, felt, temperature, middles, change, period_s)
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
-        return SensorSamples(ends[1:], *outputs, shown + self.truth.thermometer_offset, second)
-
-    def _behind(self, name: float | str, lag_s: float, temperature_c: Vectors) -> Vectors:
-        """The temperatures of a mass at all parts of the samples."""
-        mass = self._masses.setdefault(name, Mass(float(temperature_c[0]), lag_s))
-        return mass.take(temperature_c, self.true_period_s / _PARTS)
-
-    def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors | float]:
-        """The additive error and the scale-factor error of every sample: `(count, 3)` each."""
-        dt, states = self.true_period_s, self._drifts[kind]
-        draws = self._random.standard_normal((count, 3, 2 + len(triad.drifts)))
-        walk = self._walked[kind] + np.cumsum(triad.walk * dt**0.5 * draws[..., 1], axis=0)
-        self._walked[kind] = walk[-1]
-        added, scaled = triad.white / dt**0.5 * draws[..., 0] + walk, 0.0
-        for number, process in enumerate(triad.drifts):
-            decay = float(np.exp(-dt / process.tau_s))
-            size = process.sigma * np.sqrt(1.0 - decay**2)
-            values = _filtered([size], [1.0, -decay], draws[..., 2 + number], decay * states[number][None])
-            states[number] = values[-1]
-            added = added + process.bias_gain * values
-            scaled = scaled + process.rate_gain * values
-        return added, scaled
+        return SensorSamples(ends[1:], *outputs, shown + truth.thermometer_offset)
 
     def _motion(self, edges: Vectors) -> tuple[Vectors, Vectors]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""

@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -47,15 +48,14 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
     """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
     rows = np.zeros((samples.time_s.shape[0], 42), np.uint8)
     rows[:, 0] = _IDENTIFIER
-    second = samples.temperature_c if samples.second_c is None else samples.second_c
     gyro = samples.rate_dps * 2.0**14
     _put(rows, 1, 3, gyro)
     # Status bit 4 and the channel's bit where a rate is beyond the 24 bits.
     beyond = ((np.abs(gyro) >= 2**23 - 1) * np.array([1, 2, 4])).sum(axis=1)
     rows[:, 10] = np.where(beyond, 0x10 | beyond, 0)
     _put(rows, 11, 3, samples.acceleration_g * 2.0**19)
-    _put(rows, 21, 2, samples.temperature_c[:, None] * 256.0)
-    _put(rows, 28, 2, second[:, None] * 256.0)
+    for at in (21, 28):
+        _put(rows, at, 2, samples.temperature_c[:, None] * 256.0)
     rows[:, 35] = (first + 1 + np.arange(len(rows))) * round(2000.0 / rate_hz) % 256
     rows[:, 36:38] = divmod(_LATENCY_US, 256)
     rows[:, 38:] = _CRC(rows[:, :38]).astype(">u4")[:, None].view(np.uint8)
@@ -75,6 +75,8 @@ _HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
 _TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
+# The standard deviation of a person's pace.
+_PACES_APART = 0.1
 # Where a motor without feedback stops, about its goal (standard deviation), deg.
 _STOPS_OFF_DEG = 5.0
 
@@ -177,15 +179,13 @@ class SimulatedAxis(roles.MotionAxis):
 
 @dataclass(frozen=True)
 class SimulatedHand:
-    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial, to its digits, when
-    the axis stands."""
+    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial when the axis
+    stands."""
 
     seed: int = 0
     reaction_s: float = 1.5
     reading_s: float = 2.0
     miss_deg: float = 0.3
-    pace_spread: float = 0.1
-    digits: int = 3
 
 
 class SimulatedPerson:
@@ -197,22 +197,25 @@ class SimulatedPerson:
         clock: Clock,
         plants: Mapping[str, AxisPlant],
         hand: SimulatedHand,
-        hang: Callable[[int], None] | None = None,
+        hang: Callable[[int], None] = lambda number: None,
     ) -> None:
         self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
         self._random = np.random.default_rng([hand.seed, 4])
-        self.answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
+        # When the answer is given, and its text at that time.
+        self.answers_s = math.inf
+        self._answer: Callable[[float], str] = str
+        self._axis = ""
 
     def ask(self, question: str) -> None:
         hand, random, now = self.hand, self._random, self._clock.now()
         if hung := _HANG.search(question):
-            self._mounting, self.answers_s = int(hung[1]), now + _HANGS_S
+            self.answers_s, self._answer = now + _HANGS_S, partial(self._mounted, int(hung[1]))
             return
         # A doubted answer is given again in the same way: "press Enter again", "type it again".
-        self._types = "Enter" not in question
+        self._answer = self._enter if "Enter" in question else self._dial
         if turn := _TURN.search(question):
             begins_s = now + hand.reaction_s * float(random.lognormal(0.0, 0.3))
-            pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
+            pace = max(0.5, 1.0 + _PACES_APART * float(random.standard_normal()))
             planned_s = _HOME_S if turn[2] is None else float(turn[2])
             self._turn(turn[1], float(turn[3]), begins_s, planned_s * pace)
         elif zero := _ZERO.search(question):
@@ -229,15 +232,20 @@ class SimulatedPerson:
         if self._clock.now() < at_s:
             return None
         self.answers_s = math.inf
-        if self._mounting and self._hang is not None:
-            self._hang(self._mounting)
-        if self._mounting or not self._types:
-            self._mounting = 0
-            return "", at_s
-        return f"{self._plants[self._axis].reading(at_s) % 360.0:.{self.hand.digits}f} deg", at_s
+        return self._answer(at_s), at_s
 
     def withdraw(self, why: str) -> None:
-        self.answers_s, self._mounting = math.inf, 0
+        self.answers_s = math.inf
+
+    def _mounted(self, number: int, at_s: float) -> str:
+        self._hang(number)
+        return ""
+
+    def _enter(self, at_s: float) -> str:
+        return ""
+
+    def _dial(self, at_s: float) -> str:
+        return f"{self._plants[self._axis].reading(at_s) % 360.0:.3f} deg"
 
     def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
         miss = self.hand.miss_deg * float(self._random.standard_normal())
@@ -326,13 +334,12 @@ class SimulatedLab:
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         # Each at its place of a fixture: there are as many as places.
-        places = spec.rig.table.place
-        names = [place.name for place in places] or [f"unit{number}" for number in range(1, units + 1)]
-        held = draw_places(spec, truth, seed)
+        held = draw_places(spec, truth, seed) or [truth] * units
+        names = [place.name for place in spec.rig.table.place] or [f"unit{k + 1}" for k in range(units)]
         self.units: dict[str, SimulatedImu] = {
             name: SimulatedImu(
                 draw_truth(spec, seed, number),
-                held[number - 1] if held else truth,
+                table,
                 climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
@@ -340,14 +347,14 @@ class SimulatedLab:
                 mounting=mounting,
                 start_s=now,
             )
-            for number, name in enumerate(names, start=1)
+            for number, (name, table) in enumerate(zip(names, held, strict=True), start=1)
         }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 
     def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         """Make the devices. Axes may be turned by hand, their angles typed or read from an encoder."""
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
-        typed = not read_at_rest(tracks_of(spec)[1])
+        typed = not read_at_rest(tracks_of(spec).motion)
         cold, hot = (float(end) for end in spec.rig.chamber.range)
         settings = unit_options(sample_rate_hz)
         table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}

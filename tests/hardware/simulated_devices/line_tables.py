@@ -178,9 +178,9 @@ class SimulatedGrbl:
 
 class SimulatedAerosmith:
     """A table whose prompt ends every reply. Words of motion are not understood while the servo is off, nor P while it
-    homes or jogs; acceleration and velocity are remembered; power-on forgets the reference and the servo."""
+    homes or jogs; acceleration and velocity are remembered."""
 
-    _WORD = re.compile(r"(PPO|MCO5|SRV\?|ACL\?|VEL\?|JOG\?|HOM|STO|PZR)|(SRV|ACL|VEL|JOG|P)(-?\d+(?:\.\d+)?)")
+    _WORD = re.compile(r"(PPO|MCO5|SRV\?|ACL\?|VEL\?|JOG\?|HOM|STO)|(SRV|ACL|VEL|JOG|P)(-?\d+(?:\.\d+)?)")
 
     def __init__(self, plant: AxisPlant, clock: Clock) -> None:
         self.plant = plant
@@ -194,11 +194,6 @@ class SimulatedAerosmith:
     def receive(self, data: bytes) -> list[bytes]:
         *lines, self._buffer = (self._buffer + data).split(b"\r")
         return [self._line(line.decode("latin-1").strip()).encode("latin-1") + b"\r\n>" for line in lines]
-
-    def reboot(self) -> None:
-        now = self._clock.now()
-        self.plant.spin(now, 0.0, _FRICTION_DPS2)
-        self._buffer, self.servo, self.jog, self._homed_s = b"", False, 0.0, None
 
     def _line(self, text: str) -> str:
         now = self._clock.now()
@@ -244,8 +239,6 @@ class SimulatedAerosmith:
             return False
         elif word == "P":
             self.plant.move_to(now, value, self.velocity, self.acceleration)
-        elif word == "HOM":
-            self.jog, self._homed_s = 0.0, now + 1.0
         else:
-            self.plant.set_zero(now)
+            self.jog, self._homed_s = 0.0, now + 1.0
         return True

@@ -16,9 +16,19 @@ _OFF, _AUTO = 62, 10
 _LOW_C, _HIGH_C = -70.0, 180.0
 
 
-class Memory:
-    def __init__(self, words: dict[int, int]) -> None:
-        self.words = words
+class SimulatedWatlowF4T(ModbusSlave):
+    """`locked`: an input at the back keeps the control loop off."""
+
+    read_only = frozenset({2810, 2814, 2820, 1356})
+
+    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
+        self.plant, self._clock, self.locked = plant, clock, False
+        words = {4: 4, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251, 6730: 15}
+        words |= {1356 + 100 * number: 88 for number in range(6)}
+        super().__init__(words, tcp=True)
+        for register, value in {2774: _LOW_C, 2776: _HIGH_C, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}.items():
+            self.put(register, value)
+        self._switch()
 
     def put(self, register: int, value: float) -> None:
         """A float, its low word first."""
@@ -29,55 +39,38 @@ class Memory:
         bits = self.words[register + 1] << 16 | self.words[register]
         return struct.unpack(">f", bits.to_bytes(4, "big"))[0]
 
-
-class SimulatedWatlowF4T(ModbusSlave):
-    """`locked`: an input at the back keeps the control loop off."""
-
-    read_only = frozenset({2810, 2814, 2820, 1356})
-
-    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
-        self.plant, self._clock, self.locked = plant, clock, False
-        words = {4: 4, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251, 6730: 15}
-        words |= {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
-        words |= {1356 + 100 * number: 88 for number in range(6)}
-        super().__init__(words, tcp=True)
-        self.memory = Memory(self.words)
-        for register, value in {2774: _LOW_C, 2776: _HIGH_C, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}.items():
-            self.memory.put(register, value)
-        self._switch()
-
     def reboot(self) -> None:
         """The loop comes back off."""
         self._buffer = b""
-        self.memory.words |= {2730: _OFF, 2814: _OFF}
+        self.words |= {2730: _OFF, 2814: _OFF}
         self._switch()
 
     def word(self, register: int) -> int | None:
         # Both words of a number are of one instant.
         if register == 2820:
-            self.memory.put(2820, self.plant.air_c(self._clock.now()))
+            self.put(2820, self.plant.air_c(self._clock.now()))
         elif register == 2810:
-            self.memory.put(2810, self.plant.set_point_c(self._clock.now()))
+            self.put(2810, self.plant.set_point_c(self._clock.now()))
         return self.words.get(register)
 
     def write(self, register: int, values: tuple[int, ...]) -> int:
-        memory, before, now = self.memory, dict(self.words), self._clock.now()
+        before, now = dict(self.words), self._clock.now()
         super().write(register, values)
         if register == 2782:
-            target = memory.get(2782)
+            target = self.get(2782)
             if not _LOW_C <= target <= _HIGH_C:
                 self.words |= before
                 return 3
-            if memory.words[2814] == _AUTO:
-                ramps = memory.words[2794] in (85, 13)
-                per_minute = memory.get(2798) / (1.0 if memory.words[2796] == 57 else 60.0)
+            if self.words[2814] == _AUTO:
+                ramps = self.words[2794] in (85, 13)
+                per_minute = self.get(2798) / (1.0 if self.words[2796] == 57 else 60.0)
                 self.plant.command(now, target_c=target, gradient_k_per_min=per_minute if ramps else None)
         elif register == 2730:
-            memory.words[2814] = _OFF if self.locked else values[0]
+            self.words[2814] = _OFF if self.locked else values[0]
         elif register == 16566 and values[0] == 148:
-            memory.words[16568] = 253
+            self.words[16568] = 253
         self._switch()
         return 0
 
     def _switch(self) -> None:
-        self.plant.switch(self._clock.now(), self.memory.words[2814] == _AUTO)
+        self.plant.switch(self._clock.now(), self.words[2814] == _AUTO)

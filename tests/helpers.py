@@ -18,11 +18,11 @@ from scipy.optimize import brentq
 
 from gradcal_jax import model as models
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information import NoiseSteps, Posterior, imu_information, imu_system, posterior
+from gradcal_jax.information import NoiseSteps, Posterior, imu_system, posterior
+from gradcal_jax.information.plan_information import imu_information
 from gradcal_jax.model import (
     SCALE_FACTOR,
     AxisHarmonics,
-    Bins,
     BodyNodes,
     BSpline,
     Channel,
@@ -191,7 +191,7 @@ def core_model(scene: Scene) -> Channel:
     if scene.scale is not None:
         terms.append(scale_map(*scene.scale, prior_std=scene.scale_prior))
     if scene.gradient:
-        terms.append(GradientOfBias(std=np.asarray(np.inf), has_prior=False))
+        terms.append(GradientOfBias(std=np.inf))
     return gyro_x(tuple(terms), scene.arw, processes)
 
 
@@ -586,8 +586,8 @@ SCENES: dict[str, Scene] = {
         (Act("rest", 12.0, every=2.0),),
         read_every=5.0,
         noises=(DRIFT,),
-        bias=Bins((-5.0, 12.0, 30.0, 50.0)),
-        scale=(BSpline((-10.0, 20.0, 60.0), 2), Bins((-6.0, -1.0, 1.0, 6.0))),
+        bias=BSpline((-5.0, 12.0, 30.0, 50.0), 0),
+        scale=(BSpline((-10.0, 20.0, 60.0), 2), BSpline((-6.0, -1.0, 1.0, 6.0), 0)),
         bias_prior=500 * DEG_PER_H,
         scale_prior=1e-2,
     ),

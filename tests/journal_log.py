@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from gradcal_jax.hardware.journal import JournalContents
-from gradcal_jax.hardware.run_folder import rig_as_run
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.log import Log
 from gradcal_jax.records.run_log import log_of_records
@@ -15,7 +14,6 @@ from gradcal_jax.spec.rig import RigFile
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
     """The log of one IMU (by name; None: the rig's only one), decoded with the configuration in the journal."""
-    rig = rig_as_run(contents, rig)
     return log_of_records(contents.records, recipe, rig, unit, Path(tempfile.gettempdir()))
 
 

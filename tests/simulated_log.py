@@ -45,7 +45,7 @@ class _Simulator:
             to_reported[own, own] = term.to_reported
             if term.name in _USUAL:
                 std[own] = float(term.prior_std) if np.isfinite(term.prior_std) else _USUAL[term.name]
-            elif term.name == TEMPERATURE_GRADIENT and term.has_prior:
+            elif term.name == TEMPERATURE_GRADIENT and np.isfinite(term.std):
                 std[own] = float(term.std)
         reported = std * self.rng.standard_normal((self.units, channel.size))
         return np.linalg.solve(to_reported, reported.T).T

@@ -33,7 +33,7 @@ def loop(points: list[dict]) -> None:
     from filterpy.kalman import KalmanFilter
 
     from gradcal_jax.information import imu_system
-    from gradcal_jax.information.imu_residual import quantity_of
+    from gradcal_jax.information.residual import residual_of
     from gradcal_jax.model.build import build_imu
     from gradcal_jax.spec.changes import changed
     from gradcal_jax.sweeps.sweep_file import read_sweep
@@ -47,7 +47,7 @@ def loop(points: list[dict]) -> None:
         transition, covariance, seen = (np.asarray(x) for x in (steps.transition, steps.covariance, steps.observation))
         variance, used, initial = (np.asarray(x) for x in (steps.reading_variance, steps.used, steps.initial))
         requirement = spec.requirement[0]
-        (element,) = quantity_of(built, requirement).elements
+        (element,) = residual_of(built, requirement).elements
         rows = np.zeros((len(element.beyond), columns.shape[1]))
         rows[:, element.where] = element.rows[0]
         begin = time.perf_counter()

@@ -79,8 +79,8 @@ FAULTS = (
     Fault(
         "a record of the journal that a crash cut off is read",
         "hardware/journal.py",
-        'if zlib.crc32(memoryview(data)[head : end - 4]) != int.from_bytes(data[end - 4 : end], "little"):',
-        "if end > len(data):",
+        'if length > _LONGEST or zlib.crc32(data[head:end]).to_bytes(4, "little") != data[end : end + 4]:',
+        "if length > _LONGEST:",
         "tests/hardware/test_journal_and_safety.py",
     ),
     Fault(

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from gradcal_jax.estimation.bias_curves import BiasCurve
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.plots import save
 from gradcal_jax.plots.style import PALETTE
 from gradcal_jax.records.log import Log

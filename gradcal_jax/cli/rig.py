@@ -113,7 +113,7 @@ def check(rig: Path, /, *, json: Json = False) -> int:
 
     description = read_rig(rig)
     reports = check_each(description, RealClock())
-    good = all(report.good for report in reports)
+    good = not any(report.problem for report in reports)
     answers = [row for report in reports for row in _rows(report)]
     lines = [strong(description.title or str(rig))]
     lines.append(Table.of(["device", "driver", "port", "what it says"], answers).text(width=120))

@@ -108,7 +108,7 @@ def run(
 
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import dry_run_on
+    from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.setup import check_each
     from gradcal_jax.hardware.track import track_of
     from gradcal_jax.recipe.recipe import read_recipe
@@ -116,12 +116,15 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
 
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
-    plan = dry_run_on(track, check_each(bench, RealClock()))
+    reports = check_each(bench, RealClock())
+    plan = dry_run_of(track, {report.name: report.limits for report in reports})
+    problems = [*(f"{report.name}: {report.problem}" for report in reports if report.problem), *plan.problems]
     lines = [f"{name}: {what}" for name, what in plan.devices.items()]
-    lines.append(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
-    lines += plan.problems or ["every device accepts the recipe; nothing was moved"]
-    show("\n".join(lines), asdict(plan), json=json)
-    return FAILED if plan.problems else DONE
+    lines.append(f"{len(track.steps)} steps, {time_text(track.duration_s)} plus waiting times")
+    lines += problems or ["every device accepts the recipe; nothing was moved"]
+    found = {"duration_s": track.duration_s, "devices": plan.devices, "problems": problems}
+    show("\n".join(lines), found, json=json)
+    return FAILED if problems else DONE
 
 
 def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
@@ -129,10 +132,10 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.track import track_of
 
-    plan = dry_run_of(track_of(recipe, [axis.name for axis in rig.axis]), None, {})
+    track = track_of(recipe, [axis.name for axis in rig.axis])
     rows = [f"{name}: {text}" for name, text in about.items()]
-    rows.append(f"takes {time_text(float(round(plan.duration_s)))} plus waiting times")
-    rows += [f"{name}: {what}" for name, what in plan.devices.items()]
+    rows.append(f"takes {time_text(float(round(track.duration_s)))} plus waiting times")
+    rows += [f"{name}: {what}" for name, what in dry_run_of(track, {}).devices.items()]
     rows.append("does everything in the chamber tolerate this; are the axes' paths clear, and the cables long enough?")
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']

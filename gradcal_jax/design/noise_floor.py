@@ -82,9 +82,7 @@ def scale_factor_floor(
     """
     p, basis = processes, scale.temperature
     variance = np.where(p.bias_gain == 0.0, p.rate_gain * p.initial_std, 0.0) ** 2
-    same = np.eye(basis.size)
-    if scale.rate is not None:
-        same = np.kron(same, scale.rate.constant[:, None])
+    same = np.kron(np.eye(basis.size), scale.rate.constant[:, None])
     prior = np.asarray(scale.prior_rows()) @ same / np.sqrt(_PRIOR_OF_OTHERS)
     floor = np.zeros(len(at))
     clock = float(np.sum(variance[p.decay == 0.0]))

@@ -27,9 +27,8 @@ from gradcal_jax.design.noise_floor import (
 from gradcal_jax.design.relaxed_limit import Limit, RelaxedProblem, relaxed_limit
 from gradcal_jax.design.slots import LEAST_TURN
 from gradcal_jax.design.visits import motion_time, with_motion
-from gradcal_jax.information.imu_residual import imu_residual, quantity_of
 from gradcal_jax.information.prediction import requirement_rows
-from gradcal_jax.information.residual import statistic
+from gradcal_jax.information.residual import residual_map, residual_of, statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
@@ -101,7 +100,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
             continue
         of, relaxed = bound
         (unit, factor), value = UNIT_OF[r.quantity], rows[r.name].decisive
-        hidden = float(np.min(imu_residual(built, floor, r).values))
+        hidden = float(np.min(residual_map(built, floor, r).values))
         certified, best = (float(np.hypot(factor * value, hidden)) for value in of)
         share = None if value is None else certified / value
         proven.append(PlanLimit(r.name, r.statistic, unit, certified, best, value, share, relaxed, data.kept))
@@ -178,14 +177,14 @@ def _bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tuple[str,
     if name is None:
         return None
     # Of several gyros the first, since all are alike.
-    quantity, model = quantity_of(data.built, requirement), data.built.model
+    quantity, model = residual_of(data.built, requirement), data.built.model
     element = quantity.elements[0]
     channel = next(c for c in model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
     of = channel.map(name)
     if of is None or (name == SCALE_FACTOR and not isinstance(of.rate, Polynomial)):
         return None
     carried = ("the calibration contains the discrepancy as far as the data determine it",)
-    more, shape = carried if np.any(element.alone) else (), (len(quantity.temperatures), len(quantity.rates))
+    more, shape = carried if element.alone is not None else (), (len(quantity.temperatures), len(quantity.rates))
     functions = (of,) if of.beyond is None else (of, of.beyond)
     rows = np.zeros((len(element.beyond), model.size))
     rows[:, element.where] = element.rows[0]

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.information.residual import Residual
+from gradcal_jax.information.residual import Residual, residual_map, residual_of
 from gradcal_jax.information.unseen import own_of_imu, posterior_and_answers, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF, finite, limit_of
 from gradcal_jax.model.build import build_imu, hung_alike
@@ -73,7 +72,7 @@ class ExactObjective:
         """The statistic of each requirement as a function of a covariance, SI."""
         built = self.builts[0]
         unseen = unseen_columns(built, posterior_and_answers(built)[1])
-        return [quantity_of(built, r).statistic(r.statistic, unseen) for r in self.spec.requirement]
+        return [residual_of(built, r, tuple(unseen.values())) for r in self.spec.requirement]
 
     def left(self, spec: Spec) -> Left:
         """What a spec's plan leaves."""
@@ -81,7 +80,7 @@ class ExactObjective:
         for at, _ in hung_alike(spec):
             built = build_imu(at)
             known = own_of_imu(built)
-            rows.append([quantity_of(built, r).residual(known).finite_statistic() for r in self.spec.requirement])
+            rows.append([residual_map(built, known, r).statistic() for r in self.spec.requirement])
         return np.array(rows)
 
     def soft(self, logs: Float[AnyArray, "s m"], sharpness: Any) -> Any:

@@ -90,8 +90,7 @@ class RelaxedProblem(NamedTuple):
 
     def degree(self) -> int:
         """The degree in rate of squares of moments."""
-        bases = [function.rate for function in self.functions if function.rate is not None]
-        return 2 * max(getattr(basis, "lowest", 0) + basis.size for basis in bases)
+        return 2 * max(function.rate.size for function in self.functions)
 
 
 def relaxed_limit(problem: RelaxedProblem, *, tolerance: float = 2e-3) -> Limit:

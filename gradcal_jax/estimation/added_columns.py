@@ -107,7 +107,7 @@ class Whitener:
     def of_term(self, number: int, term: Term) -> np.ndarray:
         """The columns `(R, k)` of a term if the channel of this number had it; not whitened."""
         channel = self.readings.model.channels[number]
-        columns = term.columns(self.nodes.channel(channel.kind, channel.axis))
+        columns = term.columns(self.nodes.sensed_by(channel.kind, channel.axis))
         rows, own = np.zeros((len(self.at.row_segment), term.size)), self.at.row_channel == number
         rows[own] = self.at.sums(np.asarray(columns))[self.at.row_segment[own]]
         return rows
@@ -118,7 +118,7 @@ class Whitener:
         # What the readings are more if the maps have the temperature of a second before.
         before = readings.temperature_c - temperature_slope(readings.temperature_c, readings.log.time_s)
         late = readings.at(before, solution.parameters) - readings.expected(solution.parameters)
-        unit = GradientOfBias(std=np.ones(()), has_prior=False)
+        unit = GradientOfBias(std=np.inf)
         columns = [self.of_term(k, unit) for k in numbers]
         columns += [(late * (self.at.row_channel == k))[:, None] for k in numbers]
         along = solution.white.rows.T @ self(np.concatenate(columns, axis=1))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gradcal_jax.calibration import CalibratedChannel, Calibration
 from gradcal_jax.information import Posterior
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.model import ImuModel
 from gradcal_jax.units import DEG_PER_S
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.imu_rows import ExecutedImu, ImuRows
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.model import BodyNodes, NodeGroup
 from gradcal_jax.motion import Geometry, body_group, frames, lagrange, quadrature
 
 # Time after and before, over which dT/dt is measured, s.
@@ -62,7 +62,7 @@ def nodes_of_rows(
     before, after = motion.angles()
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
 
-    def group(count: int) -> BodyGroup:
+    def group(count: int) -> NodeGroup:
         """The pieces of so many nodes."""
         kinds = np.flatnonzero(sizes == count)
         duration, own = line.duration[kinds][:, None], motion.turns[kinds][:, None, :]

@@ -26,7 +26,7 @@ from gradcal_jax.information import (
     segments_of,
     whiten,
 )
-from gradcal_jax.information.gears import errors_of_angles, gears_of
+from gradcal_jax.information.gears import errors_of_angles
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import (
     AxisHarmonics,
@@ -38,6 +38,7 @@ from gradcal_jax.model import (
     MountingError,
     NonOrthogonality,
 )
+from gradcal_jax.model.build import gears_of
 from gradcal_jax.motion import Geometry, rotation
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -135,7 +136,7 @@ class ImuReadings(NamedTuple):
         error_of = table.error_of._replace(axis=axis, constant=constant, slope=slope)
         nodes = self._nodes(table.geometry, error_of, parameters)
         at = self.segments
-        ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
+        ideal = nodes.of_kinds(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
         for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
             own = parameters[begin : begin + c.size]
@@ -377,8 +378,8 @@ def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndar
     lasting = np.diff(log.time_s[done.rows])[:, None]
     table = installed(done.motion.geometry, readings.model, parameters[readings.model.calibrated :])
     nodes = readings._nodes(table.geometry, table.error_of)
-    gravity = nodes.integrals(lambda g: g.integral(g.force), (3,))[nodes.kind]
-    squared_rate = nodes.integrals(lambda g: g.integral(np.sum(g.rate**2, axis=-1)), ())[nodes.kind]
+    gravity = nodes.of_kinds(lambda g: g.integral(g.force), (3,))[nodes.kind]
+    squared_rate = nodes.of_kinds(lambda g: g.integral(np.sum(g.rate**2, axis=-1)), ())[nodes.kind]
     measured = (np.diff(missing, axis=0) == 0) & (lasting > 0.0)
     possible = (_LONGEST_ARM * squared_rate[:, None]) ** 2
     unsure = np.where(measured, _variances_of_force(readings.model, nodes, known), 1.0)
@@ -392,7 +393,7 @@ def _variances_of_force(model: ImuModel, nodes: BodyNodes, known: Posterior) -> 
     much is known; infinite where they are not observable."""
     result = np.zeros((len(nodes.kind), 3))
     for c in (c for c in model.channels if c.kind == "accelerometer"):
-        own, view = model.where(c.kind, c.axis), nodes.channel(c.kind, c.axis)
+        own, view = model.where(c.kind, c.axis), nodes.sensed_by(c.kind, c.axis)
         columns = np.concatenate([term.columns(view) for term in c.terms], axis=1)
         result[:, c.axis] = Posterior(known.spread[own], known.hidden[own]).deviations(columns) ** 2
     return result

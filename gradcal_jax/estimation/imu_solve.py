@@ -18,11 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.estimation.imu_readings import ImuReadings
-from gradcal_jax.information import (
-    NoiseSteps,
-    Posterior,
-    by_reading,
-)
+from gradcal_jax.information import NoiseSteps, Posterior, by_reading
 from gradcal_jax.information.posterior import known_of
 
 _ROUNDS = 12

@@ -4,18 +4,18 @@ A motor does a turn in the track's time; it is read from its planned end on unti
 longer: while an axis is turned by hand nothing else of the track begins, and everything after it is delayed by as much
 as the turn was late (`late_s`), so that every rest keeps its length; early turns make up for late ones.
 
-Deviations from the track are `amiss`: a late command, a turn that ended late or at another angle, a spin at another
-rate. The allowed rate of an axis follows from its commands; its place from the turn under way, at every instant.
+Deviations from the track raise `StepNotDone`: a late command, a turn that ended late or at another angle, a spin at
+another rate. The allowed rate of an axis follows from its commands; its place at every instant from the turn under way.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gradcal_jax.hardware.chamber_control import Tell
-from gradcal_jax.hardware.clock import Clock, beside
-from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.clock import Clock, beside, until
+from gradcal_jax.hardware.errors import HardwareError, StepNotDone
 from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
@@ -40,38 +40,42 @@ _SEARCH_TOLD_S = 10.0
 _START_DPS = 60.0
 
 
+@dataclass(eq=False)
 class Axis:
     """One axis in a run: what it was commanded to do, and what its readings showed. Times are of the run's clock."""
 
-    def __init__(self, name: str, device: MotionAxis, clock: Clock, event: Tell) -> None:
-        self.name, self.device = name, device
-        self._clock, self._event = clock, event
-        self.newest: AxisReading | None = None
-        # What is under way: a turn until it stands, a spin until it is stopped.
-        self.command: AxisCommand | None = None
-        self.began_s = self.from_deg = 0.0
-        # Where the last turn was to end.
-        self.goal_deg = 0.0
-        # The time of the next reading, of a move that ends by itself.
-        self.looks_s = math.inf
-        # Whether the recipe takes a reading as soon as it stands.
-        self.awaited = False
-        # It is left to its search for the reference: nothing else is asked of it.
-        self.searching = False
-        self.searches_since_s = -math.inf
-        # Only an axis that the run moves must be free of the faults of its first reading: a board may wait for its
-        # reference.
-        self.moved_by_run = self.by_hand = False
-        self._first_faults: frozenset[str] | None = None
-        self._told_dps, self._told_s = 0.0, -math.inf
-        # The rate before the last command, and until when it is allowed.
-        self._eased_dps, self._eased_until_s = 0.0, -math.inf
-        # Where it has stood, nearly, and since when.
-        self._stands_deg = self._stands_since_s = math.inf
-        # Where it stood first since its last command; NaN: it has not stood since.
-        self._rests_deg = math.nan
-        # How many readings one after the other showed another rate than that of its spin.
-        self._off_rate = 0
+    name: str
+    device: MotionAxis
+    clock: Clock
+    event: Tell
+    newest: AxisReading | None = None
+    command: AxisCommand | None = None
+    """What is under way: a turn until it stands, a spin until it is stopped."""
+    began_s: float = 0.0
+    from_deg: float = 0.0
+    goal_deg: float = 0.0
+    """Where the last turn was to end."""
+    looks_s: float = math.inf
+    """The time of the next reading, of a move that ends by itself."""
+    awaited: bool = False
+    """Whether the recipe takes a reading as soon as it stands."""
+    homed: bool | None = None
+    """Until its search for the reference has begun nothing else is asked of it. None: the run does not move it. Such an
+    axis keeps the faults of its first reading: a board may wait for its reference."""
+    searches_since_s: float = -math.inf
+    _first_faults: tuple[str, ...] | None = None
+    # The rate that is allowed, since when, and the one before, until when.
+    _told_dps: float = 0.0
+    _told_s: float = -math.inf
+    _eased_dps: float = 0.0
+    _eased_until_s: float = -math.inf
+    # Where it has stood, nearly, and since when.
+    _stands_deg: float = math.inf
+    _stands_since_s: float = math.inf
+    # Where it stood first since its last command; NaN: it has not stood since.
+    _rests_deg: float = math.nan
+    # How many readings one after the other showed another rate than that of its spin.
+    _off_rate: int = 0
 
     @cached_property
     def limits(self) -> AxisLimits:
@@ -80,15 +84,11 @@ class Axis:
 
     @property
     def poll_s(self) -> float:
-        return _POLL_BY_HAND_S if self.by_hand else _POLL_S
+        return _POLL_BY_HAND_S if self.limits.by_hand else _POLL_S
 
     @property
     def spins(self) -> bool:
         return self.command is not None and self.command.kind == "spin"
-
-    @property
-    def turned_by_hand(self) -> bool:
-        return self.by_hand and self.command is not None
 
     @property
     def at_deg(self) -> float:
@@ -105,51 +105,43 @@ class Axis:
 
     def search(self, duties: Duties) -> None:
         """Find the reference, at a rate that the device chooses."""
-        self._event("homing", axis=self.name)
-        # Asked for before it searches, when a device may answer nothing.
-        self.by_hand = self.limits.by_hand
+        self.event("homing", axis=self.name)
         self._told_dps, self._rests_deg = math.inf, math.nan
 
         def home() -> None:
-            self.searches_since_s = self._clock.now()
+            self.searches_since_s = self.clock.now()
             try:
                 self.device.home()
             finally:
                 self.searches_since_s = -math.inf
 
-        beside(home, self._clock, duties)
-        self.searching = False
+        beside(home, self.clock, duties)
+        self.homed = True
 
     def tell(self, step: str, move: AxisCommand) -> None:
-        device, now_s = self.device, self._clock.now()
-        before_dps = 0.0 if self.newest is None else self.newest.rate_dps
-        self.awaited = False
-        self._allow(abs(move.rate_dps), move.acceleration_dps2)
-        self._stands_deg = self._stands_since_s = math.inf
-        self._rests_deg = math.nan
-        self.command, self.looks_s = None, math.inf
+        now_s = self.clock.now()
+        self._allow(abs(move.rate_dps), move.acceleration_dps2 or math.inf)
+        self._stands_deg = self._stands_since_s = self.looks_s = math.inf
+        self._rests_deg, self.command, self.awaited = math.nan, None, False
         self.began_s, self.from_deg = now_s, self.at_deg if move.kind == "go" else self.goal_deg
         if move.kind == "spin":
-            device.spin(move.rate_dps, move.acceleration_dps2)
-            # Another sign takes longer than a slower rate does.
-            changes_s = abs(move.rate_dps - before_dps) / move.acceleration_dps2
-            self._eased_until_s = max(self._eased_until_s, now_s + changes_s + _EASING_S)
+            self.device.spin(move.rate_dps, move.acceleration_dps2)
             self.command = move
         elif move.kind == "stop":
-            device.stop()
+            self.device.stop()
             self.looks_s = now_s
         else:
             goal_deg = self.from_deg + move.angle_deg
-            device.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
+            self.device.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
             self.goal_deg, self.command = goal_deg, move
-            self.looks_s = now_s if self.by_hand or move.kind == "go" else now_s + move.duration_s
+            self.looks_s = now_s if self.limits.by_hand or move.kind == "go" else now_s + move.duration_s
         fields = event_fields(move)
-        self._event("move", at_once=False, step=step, began_s=now_s, position_deg=self.goal_deg, **fields)
+        self.event("move", at_once=False, step=step, began_s=now_s, position_deg=self.goal_deg, **fields)
 
     def stop(self) -> None:
         self.device.stop()
-        self._allow(0.0)
-        self._event("stopped", at_once=False, axis=self.name)
+        self._allow()
+        self.event("stopped", at_once=False, axis=self.name)
         self.command, self.looks_s, self._rests_deg = None, math.inf, math.nan
 
     def read(self) -> AxisReading:
@@ -158,10 +150,9 @@ class Axis:
         if abs(reading.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
             # One damaged character may show another angle.
             reading = self.device.read()
-        if not self.moved_by_run:
-            self._first_faults = frozenset(reading.faults) if self._first_faults is None else self._first_faults
-            new = tuple(fault for fault in reading.faults if fault not in self._first_faults)
-            reading = replace(reading, faults=new)
+        if self.homed is None:
+            known = self._first_faults = reading.faults if self._first_faults is None else self._first_faults
+            reading = replace(reading, faults=tuple(fault for fault in reading.faults if fault not in known))
         self.newest = reading
         if abs(reading.position_deg - self._stands_deg) > _stands_within_deg(self._told_dps):
             self._stands_deg, self._stands_since_s = reading.position_deg, reading.time_s
@@ -177,31 +168,34 @@ class Axis:
         """What has ended, of an axis that stands."""
         self._rest_at(reading)
         if self._told_dps:
-            self._allow(0.0)
+            self._allow()
         command, self.command = self.command, None
         return command
 
     def stands_at(self, goal_deg: float) -> bool:
         """Whether it is at a goal: a motor that was told to go there, one by hand within a tolerance. Its standstill
         goes on: a motor that is told to go where it is may move a little."""
-        newest, told = self.newest, abs(self.goal_deg - goal_deg) <= 1e-9
+        newest, by_hand, told = self.newest, self.limits.by_hand, abs(self.goal_deg - goal_deg) <= 1e-9
         if newest is None:
-            return told and not self.by_hand
-        within_deg = _NEAR_BY_HAND_DEG if self.by_hand else _OFF_GOAL_DEG
-        near = not newest.moving and abs(newest.position_deg - goal_deg) <= within_deg
-        return near and (self.by_hand or told)
+            return told and not by_hand
+        within_deg = _NEAR_BY_HAND_DEG if by_hand else _OFF_GOAL_DEG
+        return not newest.moving and abs(newest.position_deg - goal_deg) <= within_deg and (by_hand or told)
 
-    def spins_otherwise(self, reading: AxisReading) -> str:
-        """A sentence where it spins at another rate, at the third reading: one wrong one may come from a busy host."""
+    def require_rate(self, reading: AxisReading) -> None:
+        """Its spin is as commanded, or was at one of three readings: a wrong one may come from a busy host."""
         command = self.command
         if command is None or not self.spins or reading.time_s <= self._eased_until_s:
             self._off_rate = 0
-            return ""
+            return
         off = abs(reading.rate_dps - command.rate_dps) > _tolerance_dps(command.rate_dps)
         self._off_rate = self._off_rate + 1 if off else 0
-        if self._off_rate != _OFF_READINGS:
-            return ""
-        return f"axis {self.name} spins at {reading.rate_dps:.2f} deg/s instead of {command.rate_dps:g}"
+        if self._off_rate == _OFF_READINGS:
+            raise StepNotDone(f"axis {self.name} spins at {reading.rate_dps:.2f} deg/s instead of {command.rate_dps:g}")
+
+    # What is wrong with the newest reading: a sentence each, or an empty one.
+
+    def faulty(self) -> str:
+        return f"axis {self.name}: {', '.join(self.newest.faults)}" if self.newest and self.newest.faults else ""
 
     def too_fast(self) -> str:
         """A sentence where it turns faster than by its commands, or than the rig allows."""
@@ -227,7 +221,7 @@ class Axis:
     def stalled(self) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
         command, newest = self.command, self.newest
-        if command is None or newest is None or self.spins or self.by_hand:
+        if command is None or newest is None or self.spins or self.limits.by_hand:
             return ""
         stood_s, after_s = newest.time_s - self._stands_since_s, newest.time_s - self.began_s
         if not newest.moving or stood_s < _STALL_S:
@@ -242,15 +236,14 @@ class Axis:
         )
 
     def _allowed_dps(self) -> float:
-        return max(self._told_dps, self._eased_dps if self._clock.now() <= self._eased_until_s else 0.0)
+        return max(self._told_dps, self._eased_dps if self.clock.now() <= self._eased_until_s else 0.0)
 
-    def _allow(self, rate_dps: float, acceleration_dps2: float = math.inf) -> None:
-        """The rate before stays allowed until the axis has slowed down."""
-        before_dps, slows_s = self._allowed_dps(), 0.0
-        if acceleration_dps2 > 0.0 and math.isfinite(before_dps):
-            slows_s = min(max((before_dps - rate_dps) / acceleration_dps2, 0.0), _LONGEST_MOVE_S)
-        self._told_dps, self._told_s = rate_dps, self._clock.now()
-        self._eased_dps, self._eased_until_s = before_dps, self._told_s + slows_s + _EASING_S
+    def _allow(self, rate_dps: float = 0.0, acceleration_dps2: float = math.inf) -> None:
+        """The rate before stays allowed until the axis has it no more, whatever its sign."""
+        before_dps = self._allowed_dps()
+        changes_s = (before_dps + rate_dps) / acceleration_dps2 if math.isfinite(before_dps) else 0.0
+        self._told_dps, self._told_s = rate_dps, self.clock.now()
+        self._eased_dps, self._eased_until_s = before_dps, self._told_s + changes_s + _EASING_S
 
 
 class AxisControl:
@@ -267,47 +260,36 @@ class AxisControl:
     ) -> None:
         """`keep_track`: every reading is an event, which aligns another logger's recording."""
         self._clock, self._event, self._latest_s, self._keep_track = clock, event, latest_s, keep_track
-        self._axes = {name: Axis(name, device, clock, event) for name, device in devices.items()}
+        self.axes = {name: Axis(name, device, clock, event) for name, device in devices.items()}
         self.late_s = 0.0
-        self.amiss: list[str] = []
-
-    @property
-    def newest(self) -> dict[str, AxisReading]:
-        return {name: axis.newest for name, axis in self._axes.items() if axis.newest is not None}
-
-    @property
-    def turned_by_hand(self) -> bool:
-        return any(axis.turned_by_hand for axis in self._axes.values())
 
     @property
     def by_hand(self) -> bool:
-        return any(axis.by_hand for axis in self._axes.values())
+        return any(axis.limits.by_hand for axis in self.axes.values())
 
     @property
-    def look_s(self) -> float:
-        """When an axis is to be read again."""
-        return min((axis.looks_s for axis in self._axes.values()), default=math.inf)
+    def turned_by_hand(self) -> bool:
+        return any(axis.limits.by_hand and axis.command is not None for axis in self.axes.values())
 
     def _turning(self) -> list[Axis]:
         """The axes whose move ends by itself, by name."""
-        return [axis for _, axis in sorted(self._axes.items()) if axis.looks_s < math.inf]
+        return [axis for _, axis in sorted(self.axes.items()) if axis.looks_s < math.inf]
 
     def home(self, names: list[str], duties: Duties) -> None:
-        axes = [self._axes[name] for name in names]
-        for axis in axes:
-            axis.searching = axis.moved_by_run = True
-        for axis in axes:
-            axis.search(duties)
-            self._settle(axis, duties)
+        for name in names:
+            self.axes[name].homed = False
+        for name in names:
+            self.axes[name].search(duties)
+            self._settle(self.axes[name], duties)
 
     def is_homing(self, name: str) -> bool:
         """Whether an axis may still be told to find its reference, also after a run has been ended."""
-        return self._clock.now() < self._axes[name].searches_since_s + _SEARCH_TOLD_S
+        return self._clock.now() < self.axes[name].searches_since_s + _SEARCH_TOLD_S
 
     def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Duties) -> None:
         """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, goal in start_deg.items():
-            axis, limits = self._axes[name], self._axes[name].limits
+            axis, limits = self.axes[name], self.axes[name].limits
             if limits.travel_deg == (-math.inf, math.inf):
                 # An endless axis has no cable to unwind: it goes to the nearest equal angle.
                 goal += 360.0 * round((axis.at_deg - goal) / 360.0)
@@ -319,9 +301,9 @@ class AxisControl:
     def move(self, step: str, move: AxisCommand, due_s: float, duties: Duties) -> None:
         """A turn waits until the turn before it has ended, of any axis: one axis turns at a time, the others hold. The
         delay is in the journal."""
-        axis = self._axes[move.axis]
+        axis = self.axes[move.axis]
         if (late_s := self._clock.now() - due_s) > self._latest_s:
-            self.amiss.append(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
+            raise StepNotDone(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
         if move.kind == "turn" and axis.spins:
             axis.device.stop()
             axis.command = None
@@ -331,49 +313,46 @@ class AxisControl:
                 self._settle(other, duties)
         axis.tell(step, move)
 
-    def look(self) -> None:
-        """Read an axis from the planned end of its move until it stands: its standstill begins there."""
+    def look(self) -> float:
+        """Read an axis from the planned end of its move until it stands: its standstill begins there. Returns when to
+        look again."""
         for axis in self._turning():
             now = self._clock.now()
             if axis.looks_s <= now:
                 axis.looks_s = now + axis.poll_s
                 self._read(axis)
+        return min((axis.looks_s for axis in self._turning()), default=math.inf)
 
     def read(self, *, planned: bool = False) -> None:
         """Read all axes; `planned`: the recipe takes a reading, of an axis that still moves as soon as it stands."""
-        for axis in self._axes.values():
+        for axis in self.axes.values():
             axis.awaited = axis.awaited or planned
-        for axis in self._axes.values():
+        for axis in self.axes.values():
             self._read(axis)
 
     def watch(self) -> None:
         """Read the rates of axes that have a motor, more often where they move."""
-        now = self._clock.now()
-        for name, axis in self._axes.items():
+        for name, axis in self.axes.items():
             every_s = _WATCH_STANDING_S if axis.command is None else _WATCH_MOVING_S
-            if axis.searching or axis.limits.by_hand:
+            if axis.homed is False or axis.limits.by_hand:
                 continue
-            if axis.newest is not None and now - axis.newest.time_s < every_s:
+            if axis.newest is not None and self._clock.now() - axis.newest.time_s < every_s:
                 continue
             reading = axis.read()
             if self._keep_track:
                 place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
                 self._event("track", at_once=False, axis=name, **place)
-            if text := axis.spins_otherwise(reading):
-                self.amiss.append(text)
+            axis.require_rate(reading)
 
     def violated(self) -> dict[str, str]:
         """What is wrong with the newest readings, by the rules of `interlocks`."""
-        axes = self._axes.values()
-        faults = [
-            f"axis {axis.name}: {', '.join(axis.newest.faults)}" for axis in axes if axis.newest and axis.newest.faults
-        ]
-        return {
-            "axis fault": "; ".join(faults),
-            "over-speed": "; ".join(filter(None, [axis.too_fast() for axis in axes])),
-            "stray axis": "; ".join(filter(None, [axis.strays() for axis in axes])),
-            "stalled axis": "; ".join(filter(None, [axis.stalled() for axis in axes])),
+        rules = {
+            "axis fault": Axis.faulty,
+            "over-speed": Axis.too_fast,
+            "stray axis": Axis.strays,
+            "stalled axis": Axis.stalled,
         }
+        return {rule: "; ".join(filter(None, map(said, self.axes.values()))) for rule, said in rules.items()}
 
     def settle_all(self, duties: Duties) -> None:
         for axis in self._turning():
@@ -381,53 +360,50 @@ class AxisControl:
 
     def _settle(self, axis: Axis, duties: Duties) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
-        end_s = math.inf if axis.by_hand else max(self._clock.now(), axis.ends_s) + _LONGEST_MOVE_S
-        while self._read(axis).moving:
-            if self._clock.now() > end_s:
-                axis.device.stop()
-                raise HardwareError(
-                    f"Axis {axis.name!r} is still moving {_LONGEST_MOVE_S:g} s after its step. It was stopped."
-                )
-            duties()
-            self._clock.sleep(axis.poll_s)
+        longest_s = math.inf if axis.limits.by_hand else max(0.0, axis.ends_s - self._clock.now()) + _LONGEST_MOVE_S
+        stands = until(
+            lambda: not self._read(axis).moving, self._clock, duties, longest_s=longest_s, every_s=axis.poll_s
+        )
+        if not stands:
+            axis.device.stop()
+            raise HardwareError(
+                f"Axis {axis.name!r} is still moving {_LONGEST_MOVE_S:g} s after its step. It was stopped."
+            )
 
     def end_spins(self, step: str, at_s: float) -> None:
-        for name, axis in sorted(self._axes.items()):
+        for name, axis in sorted(self.axes.items()):
             if axis.spins:
                 axis.tell(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
-        for axis in self._axes.values():
+        for axis in self.axes.values():
             axis.stop()
-        self.amiss.clear()
 
     def _read(self, axis: Axis) -> AxisReading:
-        before, reading = axis.newest, axis.read()
+        before, reading, by_hand = axis.newest, axis.read(), axis.limits.by_hand
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
-            planned = not reading.moving and (axis.awaited or axis.by_hand)
+            planned = not reading.moving and (axis.awaited or by_hand)
             self._event("angle", at_once=False, axis=axis.name, planned=planned, **event_fields(reading))
-        if not reading.moving:
-            axis.awaited, axis.looks_s = False, math.inf
-            if not axis.spins:
-                self._stood(axis, reading)
-        return reading
-
-    def _stood(self, axis: Axis, reading: AxisReading) -> None:
-        late_s, command = reading.time_s - axis.ends_s, axis.ended(reading)
+        if reading.moving:
+            return reading
+        axis.awaited, axis.looks_s = False, math.inf
+        if axis.spins:
+            return reading
+        late_s, command, name = reading.time_s - axis.ends_s, axis.ended(reading), axis.name
         if command is None or command.kind == "go":
-            return
-        if axis.by_hand:
+            return reading
+        if by_hand:
             # An early turn makes up for late ones before it.
             self.late_s = max(0.0, self.late_s + late_s)
-            return
-        name, goal_deg = axis.name, axis.goal_deg
-        if late_s > self._latest_s:
-            self.amiss.append(
+        elif late_s > self._latest_s:
+            raise StepNotDone(
                 f"a turn of axis {name} ended {late_s:.1f} s late, and the rest after it is shorter by this time"
             )
-        if abs(reading.position_deg - goal_deg) > _OFF_GOAL_DEG:
-            self.amiss.append(f"axis {name} is at {reading.position_deg:.3f} deg, and its target is {goal_deg:.3f}")
+        elif abs(reading.position_deg - axis.goal_deg) > _OFF_GOAL_DEG:
+            at = f"axis {name} is at {reading.position_deg:.3f} deg"
+            raise StepNotDone(f"{at}, and its target is {axis.goal_deg:.3f}")
+        return reading
 
 
 def _stands_within_deg(rate_dps: float) -> float:

@@ -10,37 +10,30 @@ command and does nothing would agree with its own set point.
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gradcal_jax.hardware.clock import Clock, holding, in_thread
+from gradcal_jax.hardware.clock import Clock, in_thread, until
 from gradcal_jax.hardware.errors import Disconnected
 from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import event_fields
-from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, TemperatureChamber
+from gradcal_jax.hardware.roles import ChamberReading, TemperatureChamber
 from gradcal_jax.hardware.track import Course, Stable
 
 _SOFT_STEP_S = 5.0
-_LOOKS_S = 0.02
-_REMEMBERED = 1 << 14
+_MOST_FAILURES = 3
 _KNOTS = 64
 # How far a chamber may overshoot at the end of an approach, as a share of its way.
 _OVERSHOOT = 0.1
-# Share of a slope by which a controller may round it.
+# Share of a slope by which a controller may round it: what it rounds changes all slopes.
 _ROUNDED = 0.005
 
 Tell = Callable[..., None]
 """Writes an event: its name and its data."""
-
-
-def ramps_alone(limits: ChamberLimits, rate_k_per_min: float) -> bool:
-    """Whether the controller makes a ramp as planned: what it rounds changes all slopes."""
-    step = limits.ramp_step_k_per_min
-    made = step * max(1, round(rate_k_per_min / step)) if step else rate_k_per_min
-    return limits.hardware_ramp and abs(made - rate_k_per_min) <= _ROUNDED * rate_k_per_min
 
 
 class AirCourse:
@@ -86,31 +79,34 @@ class AirCourse:
         return float(np.interp(time_s, times_s, values_c))
 
 
+@dataclass(eq=False)
 class ChamberControl:
-    """Commands the chamber and keeps its readings, from any thread: one command after the other. `failed` gets the
-    sentence that ends the run."""
+    """Commands the chamber and keeps its readings: one thing after the other, each in a thread beside the run's, so
+    that a chamber that takes seconds to acknowledge delays no move and no reading. `failed` gets the sentence that ends
+    the run."""
 
-    def __init__(
-        self,
-        chamber: TemperatureChamber,
-        clock: Clock,
-        event: Tell,
-        failed: Callable[[str], None] = lambda sentence: None,
-    ) -> None:
-        self.chamber = chamber
-        self._clock, self._event, self._failed = clock, event, failed
-        self._telling = threading.RLock()
-        self._ended = self._started = False
-        self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
-        # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
-        self._soft: tuple[AirCourse, float] | None = None
-        self._next_soft_s = 0.0
-        self._held_c: float | None = None
-        self._conditions_since_s = math.inf
-        # The temperatures that the chamber reports as its limits, and that of its air at the start.
-        self._range_c = (-math.inf, math.inf)
-        self.expected = AirCourse()
-        self.newest: ChamberReading | None = None
+    chamber: TemperatureChamber
+    clock: Clock
+    event: Tell
+    failed: Callable[[str], None] = lambda sentence: None
+    newest: ChamberReading | None = None
+    expected: AirCourse = field(default_factory=AirCourse)
+    # What is to be told; whether nothing is under way; when it was read, and how often it could not be read.
+    _courses: deque[Course] = field(default_factory=deque[Course])
+    _free: threading.Event = field(default_factory=threading.Event)
+    _reads_s: float = -math.inf
+    _failures: int = 0
+    _history: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
+    _soft: tuple[AirCourse, float] | None = None
+    _next_soft_s: float = 0.0
+    _held_c: float | None = None
+    _conditions_since_s: float = math.inf
+    # The temperatures that the chamber reports as its limits, and that of its air at the start.
+    _range_c: tuple[float, float] = (-math.inf, math.inf)
+
+    def __post_init__(self) -> None:
+        self._free.set()
 
     def begin(self) -> None:
         """The first reading of a run."""
@@ -124,34 +120,83 @@ class ChamberControl:
             self._held_c = None
         self._history.append((reading.time_s, reading.air_c if reading.product_c is None else reading.product_c))
 
+    def tell(self, course: Course, due_s: float) -> None:
+        """Have the chamber told a course, which begins at this time."""
+        at_c, rate = course.temperature_c, course.ramp_k_per_min
+        if rate is not None:
+            self.expected.ramps(due_s, at_c, rate)
+        elif self.expected.of_late(due_s, 0.0) != (at_c, at_c) and self.newest is not None:
+            self.expected.approaches(self.newest.air_c, at_c)
+        self._courses.append(course)
+
+    def attend(self, every_s: float) -> None:
+        """Begin what is due beside the run: a command, or a reading `every_s`. To be called often."""
+        now = self.clock.now()
+        if not self._free.is_set():
+            return
+        if self._courses:
+            self._free = in_thread(partial(self.follow, self._courses.popleft()), self.clock, self._not_told)
+        elif now >= self._reads_s + every_s:
+            self._reads_s = now
+            self._free = in_thread(self._look, self.clock, self._not_read)
+
     def end(self, longest_s: float) -> bool:
-        """Send no further command; returns when the current one has ended, or after `longest_s`; whether it has."""
-        self._ended = True
-        end_s = self._clock.now() + longest_s
-        while not self._telling.acquire(blocking=False):
-            if self._clock.now() >= end_s:
-                return False
-            self._clock.sleep(_LOOKS_S)
-        self._telling.release()
-        return True
+        """Whether what is under way has ended, at the latest after `longest_s`."""
+        return until(self._free.is_set, self.clock, longest_s=longest_s)
 
-    @contextmanager
-    def _alone(self) -> Generator[bool, None, None]:
-        """Exclusive access to the chamber; whether commands are still allowed."""
-        with holding(self._telling, self._clock):
-            yield not self._ended
+    def _not_told(self, problem: Exception) -> None:
+        self.failed(f"The temperature profile could not be sent to the chamber: {problem}")
 
-    def hold(self, temperature_c: float) -> None:
-        """Condition at a temperature, unless the chamber does so already."""
-        with self._alone() as may:
-            if may and self._held_c != temperature_c:
-                self._set(temperature_c)
-                self._event("chamber told", hold_c=temperature_c)
-            self._soft = None
+    def _not_read(self, problem: Exception) -> None:
+        self._failures += 1
+        self.event("chamber not read", at_once=False, problem=str(problem))
+        if self._failures == _MOST_FAILURES or isinstance(problem, Disconnected):
+            self.failed(f"The chamber cannot be read: {problem}")
 
-    def approach(self, temperature_c: float) -> None:
-        if self.newest is not None:
-            self.expected.approaches(self.newest.air_c, temperature_c)
+    def _look(self) -> None:
+        self._step_soft_ramp()
+        reading = self.chamber.read()
+        self.heard(reading)
+        self._failures = 0
+        self.event("chamber", at_once=False, **event_fields(reading))
+
+    def follow(self, course: Course) -> None:
+        """Follow a course: by the controller's own ramp where it has the planned one, else by set points."""
+        at_c, rate = course.temperature_c, course.ramp_k_per_min
+        self._soft = None
+        if rate is None:
+            if self._held_c != at_c:
+                self._set(at_c)
+                self.event("chamber told", hold_c=at_c)
+            return
+        self._held_c = None
+        command: dict[str, Any] = {"ramp_to_c": at_c, "asked_k_per_min": rate}
+        limits, now = self.chamber.limits(), self.chamber.read()
+        step = limits.ramp_step_k_per_min
+        made = step * max(1, round(rate / step)) if step else rate
+        if self._started and not now.conditioning:
+            self.event("chamber not told", **command, why="it is off, and this run did not switch it off")
+        elif limits.hardware_ramp and abs(made - rate) <= _ROUNDED * rate:
+            command["k_per_min"] = self.chamber.ramp(at_c, rate)
+            self._conditioned()
+            self.event("chamber told", **command)
+        else:
+            soft, self._next_soft_s = AirCourse(), self.clock.now()
+            soft.stands(self._next_soft_s, now.setpoint_c)
+            soft.ramps(self._next_soft_s, at_c, rate)
+            self._soft = soft, at_c
+            self.event("chamber told", **command, k_per_min=rate, by="steps of the runner")
+
+    def _step_soft_ramp(self) -> None:
+        """Continue a ramp by set points, at least five seconds apart."""
+        now = self.clock.now()
+        if self._soft is None or now < self._next_soft_s:
+            return
+        ramp, target_c = self._soft
+        # A set point that is held until the next one is late by half of that time.
+        self._set(ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S)))
+        self._soft = None if self._held_c == target_c else self._soft
+        self._next_soft_s = now + _SOFT_STEP_S
 
     def _set(self, temperature_c: float) -> None:
         if self._started:
@@ -161,92 +206,28 @@ class ChamberControl:
             self._conditioned()
         self._held_c = temperature_c
 
+    @property
+    def _started(self) -> bool:
+        return math.isfinite(self._conditions_since_s)
+
     def _conditioned(self) -> None:
-        self._started = True
-        self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
+        self._conditions_since_s = min(self._conditions_since_s, self.clock.now())
 
-    def tell(self, course: Course, due_s: float) -> None:
-        """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
-        at_c, rate = course.temperature_c, course.ramp_k_per_min
-        if rate is not None:
-            self.expected.ramps(due_s, at_c, rate)
-        elif self.expected.of_late(due_s, 0.0) != (at_c, at_c):
-            self.approach(at_c)
+    @property
+    def newest_c(self) -> float:
+        """The newest temperature, of the load where the chamber measures it."""
+        return self._history[-1][1]
 
-        def failed(problem: Exception) -> None:
-            self._failed(f"The temperature profile could not be sent to the chamber: {problem}")
-
-        in_thread(lambda: self.follow(course), self._clock, failed)
-
-    def follow(self, course: Course) -> None:
-        """Follow a course: by the controller's own ramp where it has the planned one, else by `step_soft_ramp`."""
-        rate = course.ramp_k_per_min
-        if rate is None:
-            self.hold(course.temperature_c)
-            return
-        with self._alone() as may:
-            if not may:
-                return
-            self._held_c = self._soft = None
-            command: dict[str, Any] = {"ramp_to_c": course.temperature_c, "asked_k_per_min": rate}
-            limits, now = self.chamber.limits(), self.chamber.read()
-            if self._started and not now.conditioning:
-                self._event("chamber not told", **command, why="it is off, and this run did not switch it off")
-            elif ramps_alone(limits, rate):
-                command["k_per_min"] = self.chamber.ramp(course.temperature_c, rate)
-                self._conditioned()
-                self._event("chamber told", **command)
-            else:
-                soft, self._next_soft_s = AirCourse(), self._clock.now()
-                soft.stands(self._next_soft_s, now.setpoint_c)
-                soft.ramps(self._next_soft_s, course.temperature_c, rate)
-                self._soft = soft, course.temperature_c
-                self._event("chamber told", **command, k_per_min=rate, by="steps of the runner")
-
-    def step_soft_ramp(self) -> None:
-        """Continue a ramp by set points, at least five seconds apart; to be called often."""
-        if self._soft is None:
-            return
-        with self._alone() as may:
-            now = self._clock.now()
-            if not may or self._soft is None or now < self._next_soft_s:  # pyright: ignore[reportUnnecessaryComparison]
-                return
-            ramp, target_c = self._soft
-            # A set point that is held until the next one is late by half of that time.
-            self._set(ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S)))
-            self._soft = None if self._held_c == target_c else self._soft
-            self._next_soft_s = now + _SOFT_STEP_S
-
-    def watch(self, every_s: float, watching: threading.Event) -> None:
-        failures = 0
-        while watching.is_set():
-            self._clock.sleep(every_s)
-            if not watching.is_set():
-                return
-            try:
-                self.step_soft_ramp()
-                reading = self.chamber.read()
-                self.heard(reading)
-                failures = 0
-                self._event("chamber", at_once=False, **event_fields(reading))
-            except Exception as problem:
-                failures += 1
-                self._event("chamber not read", problem=str(problem))
-                if failures == 3 or isinstance(problem, Disconnected):
-                    self._failed(f"The chamber cannot be read: {problem}")
-                    return
-
-    def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
-        """The newest temperature, if it has been stable for the required time; else None."""
-        readings = list(self._history)
-        lowest, highest = math.inf, -math.inf
-        for time_s, value in reversed(readings):
+    def is_stable_at(self, temperature_c: float, wanted: Stable) -> bool:
+        """Whether the temperature has been stable for the required time."""
+        lowest, highest, latest_s = math.inf, -math.inf, self._history[-1][0]
+        for time_s, value in reversed(self._history):
             lowest, highest = min(lowest, value), max(highest, value)
             if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
-                return None
-            if readings[-1][0] - time_s >= wanted.for_s:
-                return readings[-1][1]
-        return None
+                return False
+            if latest_s - time_s >= wanted.for_s:
+                return True
+        return False
 
     def violated(self, limits: InterlockLimits) -> dict[str, str]:
         """What is wrong with the newest reading, by the rules of `interlocks`."""
@@ -270,7 +251,7 @@ class ChamberControl:
         return ""
 
     def _off_course(self, reading: ChamberReading, limits: InterlockLimits) -> str:
-        course_c = self.expected.of_late(self._clock.now(), limits.temperature_lag_s)
+        course_c = self.expected.of_late(self.clock.now(), limits.temperature_lag_s)
         if course_c is None:
             return ""
         low, high = course_c

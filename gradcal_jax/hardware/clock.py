@@ -7,6 +7,7 @@ takes as long as its computation and is the same every time.
 
 import heapq
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -67,7 +68,7 @@ class VirtualClock:
         self._order = itertools.count()
         self._sleepers: list[tuple[float, int, threading.Lock]] = []
         self._working = 0
-        self._members: dict[int, int] = {}
+        self._members: set[int] = set()
 
     def now(self) -> float:
         return self._now
@@ -91,12 +92,16 @@ class VirtualClock:
 
     @contextmanager
     def party(self) -> Generator[None, None, None]:
-        before = self._members.get(threading.get_ident(), 0)
-        self._enter(before + 1)
+        if threading.get_ident() in self._members:
+            yield
+            return
+        with self._lock:
+            self._members.add(threading.get_ident())
+            self._working += 1
         try:
             yield
         finally:
-            self._enter(before)
+            self._leave()
 
     def begin(self, work: Callable[[], object]) -> None:
         with self._lock:
@@ -105,21 +110,18 @@ class VirtualClock:
 
         def attend() -> None:
             gate.acquire()
-            self._members[threading.get_ident()] = 1
+            self._members.add(threading.get_ident())
             try:
                 work()
             finally:
-                self._enter(0)
+                self._leave()
 
         threading.Thread(target=attend, daemon=True, name="beside the run").start()
 
-    def _enter(self, depth: int) -> None:
-        """Set how deep in parties this thread is. In none it holds no time."""
+    def _leave(self) -> None:
         with self._lock:
-            before = self._members.pop(threading.get_ident(), 0)
-            if depth:
-                self._members[threading.get_ident()] = depth
-            self._working += (depth > 0) - (before > 0)
+            self._members.discard(threading.get_ident())
+            self._working -= 1
             self._wake_next()
 
     def _queue(self, time_s: float) -> threading.Lock:
@@ -140,11 +142,29 @@ class VirtualClock:
         gate.release()
 
 
+def until(
+    is_so: Callable[[], bool],
+    clock: Clock,
+    duties: Callable[[], object] = lambda: None,
+    *,
+    longest_s: float = math.inf,
+    every_s: float = _LOOKS_S,
+) -> bool:
+    """Wait, with the `duties` of this thread, until something is so. Returns whether it is, at the latest when
+    `longest_s` have passed."""
+    end_s = clock.now() + longest_s
+    while not is_so():
+        if clock.now() >= end_s:
+            return False
+        duties()
+        clock.sleep(every_s)
+    return True
+
+
 @contextmanager
 def holding(lock: threading.RLock, clock: Clock) -> Generator[None, None, None]:
     """Context that holds a lock, which is waited for on the clock, as by the thread that has it."""
-    while not lock.acquire(blocking=False):
-        clock.sleep(_LOOKS_S)
+    until(lambda: lock.acquire(blocking=False), clock)
     try:
         yield
     finally:
@@ -189,9 +209,6 @@ def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None])
     """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
     what either raises; where a duty does, nobody waits for the work any more."""
     problems: list[Exception] = []
-    over = in_thread(work, clock, problems.append)
-    while not over.is_set():
-        duties()
-        clock.sleep(_BESIDE_S)
+    until(in_thread(work, clock, problems.append).is_set, clock, duties, every_s=_BESIDE_S)
     if problems:
         raise problems[0]

@@ -66,8 +66,6 @@ class DeviceLimits(Section):
     """Coldest temperature that the device accepts."""
     highest: q.Temperature | None = None
     """Warmest temperature that the device accepts."""
-    resolution: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
-    """Smallest step of the temperature set point, if its text or register does not show it."""
     slowest: q.PositiveTemperatureSlope | None = None
     """Slowest ramp that the device accepts."""
     fastest: q.PositiveTemperatureSlope | None = None

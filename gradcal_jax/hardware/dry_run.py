@@ -1,11 +1,10 @@
 """Dry run: what a track asks of each device, and what these do not accept. Nothing moves."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
-from gradcal_jax.hardware.setup import DeviceReport
+from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, ImuSettings
 from gradcal_jax.hardware.track import AxisCommand, Course, Track
 
 # Relative error of an acceleration that changes nothing of a turn.
@@ -16,30 +15,24 @@ _ONE_READING = 'rests with read = "none", or rig.table.axis[].angle.read_every =
 
 @dataclass(frozen=True)
 class DryRun:
-    """The dry run of a recipe, whose steps take `duration_s` without waiting. `devices`: what each is asked to do;
-    `problems`: why the run would not start."""
+    """`devices`: what each is asked to do; `problems`: why the run would not start."""
 
-    duration_s: float
     devices: dict[str, str]
     problems: tuple[str, ...]
 
 
-def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
-    """What a track asks of devices with these limits, and what these do not accept."""
+def dry_run_of(track: Track, limits: Mapping[str, ChamberLimits | AxisLimits | ImuSettings | None]) -> DryRun:
+    """What a track asks of the devices with these limits, and what these do not accept; the chamber's name is
+    "chamber", and an axis that is not named accepts everything."""
     devices: dict[str, str] = {}
-    problems = [
-        f"The recipe reads axis {name!r} several times in a rest, but the operator types its angle only once: add "
-        "an [axis.encoder] to the rig file, or use a recipe whose plan has one reading in each rest "
-        f"({_ONE_READING})."
-        for name in track.moved
-        if track.read_at_rest and name in axes and axes[name].typed
-    ]
+    problems: list[str] = []
     courses: list[Course] = []
+    chamber = limits.get("chamber")
     for step in track.steps:
         start = [] if step.start_c is None else [Course(0.0, step.start_c)]
         for course in (*start, *step.courses):
             beyond = ["sets a temperature, but the rig has no chamber."]
-            if chamber is not None:
+            if isinstance(chamber, ChamberLimits):
                 beyond = chamber.beyond(course.temperature_c, course.ramp_k_per_min)
             problems += [f"Step {step.name!r} {text}" for text in beyond]
             courses.append(course)
@@ -48,40 +41,27 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
         steepest = max(course.ramp_k_per_min or 0.0 for course in courses)
         devices["chamber"] = f"{min(temperatures):g} to {max(temperatures):g} degC, ramps up to {steepest:.3g} K/min"
     for name in track.moved:
-        devices[name] = _axis(track, name, axes, problems)
-    return DryRun(track.duration_s, devices, tuple(dict.fromkeys(problems)))
-
-
-def dry_run_on(track: Track, reports: Sequence[DeviceReport]) -> DryRun:
-    """The dry run on a rig whose devices have reported; a device with a problem is one of the dry run."""
-    chamber = next((report.limits for report in reports if isinstance(report.limits, ChamberLimits)), None)
-    axes = {report.name: report.limits for report in reports if isinstance(report.limits, AxisLimits)}
-    run = dry_run_of(track, chamber, axes)
-    silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
-    return replace(run, problems=(*silent, *run.problems))
-
-
-def _axis(track: Track, name: str, axes: Mapping[str, AxisLimits], problems: list[str]) -> str:
-    """What an axis is asked to do; adds the problems."""
-    count, fastest, places, at = 0, 0.0, [0.0], 0.0
-    for step in track.steps:
-        at = step.start_deg.get(name, at)
-        moves = [move for move in step.moves if move.axis == name]
-        if moves and name not in axes:
+        axis, at, places, rates = limits.get(name), 0.0, [0.0], list[float]()
+        if isinstance(axis, AxisLimits) and axis.typed and track.read_at_rest:
             problems.append(
-                f"Step {step.name!r} moves axis {name!r}, but the rig has no such axis ({', '.join(axes)})."
+                f"The recipe reads axis {name!r} several times in a rest, but the operator types its angle only once: "
+                "add an [axis.encoder] to the rig file, or use a recipe whose plan has one reading in each rest "
+                f"({_ONE_READING})."
             )
-        for move in moves:
-            at += move.angle_deg
-            if name in axes:
-                beyond = _beyond_axis(move, at, axes[name])
-                problems += [f"Step {step.name!r}, axis {name!r}, {text}" for text in beyond]
-            count, fastest = count + 1, max(fastest, abs(move.rate_dps))
-            places.append(at)
-    return f"{count} commands, up to {fastest:.4g} deg/s, {min(places):g} to {max(places):g} deg"
+        for step in track.steps:
+            at = step.start_deg.get(name, at)
+            for move in (move for move in step.moves if move.axis == name):
+                at += move.angle_deg
+                if isinstance(axis, AxisLimits):
+                    problems += [f"Step {step.name!r}, axis {name!r}, {text}" for text in _beyond(move, at, axis)]
+                rates.append(abs(move.rate_dps))
+                places.append(at)
+        most = f"up to {max(rates, default=0.0):.4g} deg/s, {min(places):g} to {max(places):g} deg"
+        devices[name] = f"{len(rates)} commands, {most}"
+    return DryRun(devices, tuple(dict.fromkeys(problems)))
 
 
-def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
+def _beyond(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
     acceleration, step = move.acceleration_dps2, limits.acceleration_step_dps2

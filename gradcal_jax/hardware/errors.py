@@ -62,3 +62,12 @@ class WrongIdentity(HardwareError):
 
 class LimitExceeded(HardwareError, ValueError):
     """What was asked lies outside the limits that the device reports; nothing was sent."""
+
+
+class StepNotDone(Exception):
+    """A step was not executed as written, and is to be repeated: the step of this `number`, or the one under way;
+    `unit`: the one whose samples it lacks."""
+
+    def __init__(self, why: str, number: int | None = None, unit: str = "") -> None:
+        Exception.__init__(self, why)
+        self.number, self.unit = number, unit

@@ -4,7 +4,6 @@ closing them.
 Ctrl-C, SIGTERM and SIGHUP make safe and end; a run is continued by `resume`.
 """
 
-import itertools
 import json
 import signal
 import sys
@@ -15,27 +14,26 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, TypedDict, Unpack
+from typing import Final, TypedDict, Unpack
 
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock, repeating
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import BEAT_S, Guard
 from gradcal_jax.hardware.interlocks import InterlockLimits
-from gradcal_jax.hardware.journal import Journal, JournalContents, Recorder
+from gradcal_jax.hardware.journal import Journal, Recorder
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
     begin_session,
+    identities_of,
     mounting_of,
     new_folder,
     prepare_resume,
-    require_same_devices,
     sessions,
 )
 from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import Bench, configs_of, open_rig
 from gradcal_jax.hardware.simulate.lab import RATES_HZ, SimulatedLab
-from gradcal_jax.hardware.supervision import RunProgress, RunResult, StatusFile, sound_alarm
-from gradcal_jax.hardware.track import track_of
+from gradcal_jax.hardware.supervision import RunProgress, RunResult, ended, sound_alarm, status_file
 from gradcal_jax.hardware.transport import Terminal
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec.rig import OPERATOR, TERMINAL, RigFile
@@ -50,11 +48,10 @@ CTRL_C: Final = "Ctrl-C"
 
 
 class Attended(TypedDict, total=False):
-    """The operator's interface: `on_progress` is called beside the status file, `with_runner` before the run starts.
+    """The operator's interface: `on_progress` is called beside the status file, and ends the run by what it raises.
     `terminal`: of the operator who turns axes by hand."""
 
     on_progress: Callable[[RunProgress], None]
-    with_runner: Callable[[Runner], None]
     terminal: Terminal | None
 
 
@@ -86,19 +83,18 @@ def run(
     if rig is not None:
         configs_of(rig)
         _require_operator(rig, recipe, attended)
-        made = new_folder(Path(folder), recipe, rig, about=about)
-        return run_session(made, rig, RealClock(), guard=True, **attended)
+        return run_session(new_folder(Path(folder), recipe, rig, about=about), RealClock(), guard=True, **attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; possible are {known} Hz")
     if not 1 <= units <= _MOST_UNITS:
         raise ValueError(f"the simulated table holds 1 to {_MOST_UNITS} IMUs, not {units}")
-    simulation = {"seed": seed, "sample_rate_hz": sample_rate_hz, "units": units}
     clock = VirtualClock()
-    lab = _laboratory(recipe, simulation, clock)
+    lab = SimulatedLab(recipe.spec, clock, seed=seed, sample_rate_hz=sample_rate_hz, units=units)
+    simulation = {"seed": seed, "sample_rate_hz": sample_rate_hz, "units": units}
     made = new_folder(Path(folder), recipe, lab.rig, simulated=simulation, about=about)
     write_whole(made.path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
-    return run_session(made, lab.rig, clock, simulated=True, bench=lab.bench, **attended)
+    return run_session(made, clock, bench=lab.bench, **attended)
 
 
 def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
@@ -106,51 +102,36 @@ def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
 
     The interrupted step is repeated; a simulated run continues 60 s after its last record. `attended` and the result
     are as for `run`. Errors: `ValueError` where the folder holds no run, a complete one, or one of another recipe or
-    version; `HardwareError` where other devices answer than at the beginning.
+    version.
     """
-    existing = RunFolder(Path(folder))
-    first, notes = prepare_resume(existing), existing.notes()
-    if notes["simulated"]:
-        before = existing.events()
+    run = RunFolder(Path(folder))
+    first = prepare_resume(run)
+    if simulation := run.notes()["simulation"]:
+        before = run.events()
         clock = VirtualClock(before.latest_s + _LATER_S)
-        mounting = max(mounting_of(before) - 1, 0)
-        lab = _laboratory(existing.recipe(), notes["simulation"], clock, mounting)
-        return run_session(existing, lab.rig, clock, first_step=first, simulated=True, bench=lab.bench, **attended)
-    _require_operator(existing.rig(), existing.recipe(), attended)
-    return run_session(existing, existing.rig(), RealClock(), first_step=first, guard=True, **attended)
+        lab = SimulatedLab(run.recipe().spec, clock, **simulation, mounting=max(mounting_of(before) - 1, 0))
+        return run_session(run, clock, first_step=first, bench=lab.bench, **attended)
+    _require_operator(run.rig(), run.recipe(), attended)
+    return run_session(run, RealClock(), first_step=first, guard=True, **attended)
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
-    if attended.get("terminal") is not None:
-        return
+    needed = [f"axis {axis.name} is turned by the operator" for axis in rig.axis if axis.port == TERMINAL]
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
-    by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
-    start = "at the terminal, but there is none: start the run from a terminal, without redirected output"
-    if any(block.hang for block in recipe.motion) and at_terminal and not by_hand:
-        what = "in this recipe the operator is asked to change the mounting of the IMUs"
-        raise ValueError(f"{what} {start}, or name a port under [operator] in the rig file")
-    if names := [axis.name for axis in rig.axis if axis.port == TERMINAL]:
-        raise ValueError(f"axis {', '.join(names)} is turned by the operator, who is asked {start}")
-
-
-def _laboratory(recipe: Recipe, simulation: Mapping[str, Any], clock: Clock, mounting: int = 0) -> SimulatedLab:
-    return SimulatedLab(
-        recipe.spec,
-        clock,
-        seed=int(simulation["seed"]),
-        sample_rate_hz=float(simulation["sample_rate_hz"]),
-        units=int(simulation["units"]),
-        mounting=mounting,
-    )
+    if at_terminal and any(block.hang for block in recipe.motion) and all(axis.driver != OPERATOR for axis in rig.axis):
+        needed.append("in this recipe the mounting of the IMUs is changed by the operator")
+    if needed and attended.get("terminal") is None:
+        raise ValueError(
+            f"{needed[0]}, who is asked at the terminal, but there is none: start the run from a terminal, without "
+            "redirected output, or name a port under [operator] in the rig file"
+        )
 
 
 def run_session(
     folder: RunFolder,
-    rig: RigFile,
     clock: Clock,
     *,
     first_step: int = 0,
-    simulated: bool = False,
     bench: Bench | None = None,
     guard: bool = False,
     limits: InterlockLimits | None = None,
@@ -163,24 +144,18 @@ def run_session(
     the rig safe where this one does not. Raises `HardwareError` where the run cannot start; later problems are in the
     result.
     """
-    track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
-    resumed = folder.events() if folder.journal_path.exists() else JournalContents()
+    rig, resumed, simulated = folder.rig(), folder.events(), bool(folder.notes()["simulated"])
+    units = {device.port for device in rig.imu}
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
         watched = stack.enter_context(closing(Guard(folder.path))) if guard else None
-        units = {device.port for device in rig.imu}
 
         def recorder_of(url: str) -> Recorder | None:
             # A unit's stream goes into the journal separately, under the unit's name.
             return None if url in units else journal.recorder(f"port {url}")
 
         bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
-        numbers = itertools.count(sessions(resumed))
-
-        def new_session(first_step: int) -> None:
-            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, first_step=first_step)
-
-        new_session(first_step)
+        begin_session(journal, clock.now(), sessions(resumed), simulated=simulated, first_step=first_step)
         if journal.problem:
             raise HardwareError(journal.problem)
 
@@ -191,40 +166,38 @@ def run_session(
 
         for name, settings in bench.settings.items():
             settings.on_first_change = partial(changes, name)
-        if sessions(resumed):
-            with clock.party():
-                require_same_devices(bench, resumed)
-        status = stack.enter_context(StatusFile(folder.path, simulated=simulated))
+        change_status = stack.enter_context(status_file(folder.path, simulated=simulated))
 
         def show(progress: RunProgress) -> None:
-            status.show(progress)
-            if (also := attended.get("on_progress")) is not None:
-                also(progress)
+            change_status(progress.as_status())
+            attended.get("on_progress", str)(progress)
 
         runner = Runner(
-            track,
+            folder.track(),
             bench,
             journal,
             clock,
             limits or limits_of(rig),
             show,
-            partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
             first_step=first_step,
             mounting=mounting_of(resumed),
-            on_new_session=new_session,
+            known=identities_of(resumed),
         )
-        if (with_runner := attended.get("with_runner")) is not None:
-            with_runner(runner)
         if threading.current_thread() is threading.main_thread():
             stack.enter_context(signals_to(runner))
         if watched is not None:
             runner.on_begin = watched.begun
             stack.enter_context(repeating(partial(_beat, watched, runner, journal, clock), BEAT_S))
         result = runner.run()
-        status.end(result)
+        end = ended(result.exit_status, result.reason, result.verified_safe)
+        change_status(end | {"steps_done": result.steps_done})
+        unsafe = ", ".join(outcome.name for outcome in result.outcomes if not outcome.verified)
+        if unsafe or result.exit_status == "aborted":
+            said = f"The run was {result.exit_status}: {result.reason}"
+            sound_alarm(rig, f"{said} NOT VERIFIED SAFE: {unsafe}" if unsafe else said)
         # A start that commanded nothing leaves nothing to the guard, which would keep the ports from the next one.
-        if watched is not None and (result.verified_safe or not result.begun):
+        if watched is not None and not (unsafe and result.begun):
             watched.done()
         return result
 

@@ -9,19 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-RULES: Final[Mapping[str, float]] = {
-    "chamber alarm": 0.0,
-    "axis fault": 0.0,
-    "over-speed": 0.0,
-    "stray axis": 0.0,
-    "stalled axis": 0.0,
-    "temperature limit": 0.0,
-    "temperature course": 30.0,
-    "idle chamber": 30.0,
-    "stale unit": 0.0,
-    "disk space": 0.0,
-}
-"""The rules of every run, and their patience, s: a short opening of the door ends no run."""
+# How long a rule may be violated before it trips, where that is not at once: a short opening of the door ends no run.
+_PATIENCE_S: Final[Mapping[str, float]] = {"temperature course": 30.0, "idle chamber": 30.0}
 
 
 @dataclass(frozen=True)
@@ -51,11 +40,12 @@ class Interlocks:
 
     def check(self, now_s: float, violated: Mapping[str, str]) -> tuple[str, str] | None:
         """The rule that trips, and its sentence. `violated`: a sentence by rule, empty where it holds."""
-        for name, patience_s in RULES.items():
-            if not violated.get(name):
+        for name, text in violated.items():
+            patience_s = _PATIENCE_S.get(name, 0.0)
+            if not text:
                 self._since.pop(name, None)
             elif now_s - self._since.setdefault(name, now_s) >= patience_s:
-                return name, violated[name]
+                return name, text
         return None
 
     @property

@@ -6,7 +6,7 @@ The roles are `typing` protocols: a driver has the methods and inherits nothing.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -74,7 +74,6 @@ class Identity:
     model: str
     serial_number: str = ""
     firmware: str = ""
-    details: dict[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,6 @@ class ChamberLimits:
 
     lowest_c: float
     highest_c: float
-    resolution_k: float
     hardware_ramp: bool
     slowest_ramp_k_per_min: float = 0.0
     fastest_ramp_k_per_min: float = float("inf")
@@ -166,7 +164,9 @@ class AxisLimits:
 
     @property
     def travel_deg(self) -> tuple[float, float]:
-        return travel_of(self.lowest_deg, self.highest_deg)
+        """Infinite where it has no end."""
+        lowest, highest = self.lowest_deg, self.highest_deg
+        return -math.inf if lowest is None else lowest, math.inf if highest is None else highest
 
     def beyond(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> list[str]:
         """What of a command is beyond the limits, a sentence without its subject each."""
@@ -180,11 +180,6 @@ class AxisLimits:
         if position_deg is not None and not lowest - 1e-6 <= position_deg <= highest + 1e-6:
             problems.append(f"goes to {position_deg:g} deg; its travel is {lowest:g} to {highest:g} deg.")
         return problems
-
-
-def travel_of(lowest_deg: float | None, highest_deg: float | None) -> tuple[float, float]:
-    """The ends of the travel, infinite where there are none."""
-    return -math.inf if lowest_deg is None else lowest_deg, math.inf if highest_deg is None else highest_deg
 
 
 @dataclass(frozen=True)
@@ -317,15 +312,12 @@ class ImuDecoder(Protocol):
 class ImuStream(Protocol):
     """A unit that streams; it has no unsafe state."""
 
-    settings: KeptSettings
-
     def identify(self) -> Identity: ...
     def configure(self) -> ImuSettings:
         """Bring the unit to the profile of the rig file, verify by read-back; nothing is saved to its flash."""
         ...
 
     def start(self) -> None: ...
-    def stop(self) -> None: ...
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         """Raw bytes of the stream with their time: they go to disk before they are decoded."""
         ...

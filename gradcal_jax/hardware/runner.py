@@ -7,8 +7,9 @@ chamber acknowledges. A step that was interrupted, or that lacks something of wh
 its beginning: the chamber goes to the step's first temperature and is stable there, the axes go to their angles, and
 the journal marks the seam.
 
-Beside the executing thread, one thread reads the chamber, and one for each unit writes its bytes to the disk: no slow
-device delays a move. A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when
+Beside the executing thread, one thread at a time commands or reads the chamber, and one for each unit writes its bytes
+to the disk: no slow device delays a move.
+A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when
 this process is killed.
 """
 
@@ -16,39 +17,32 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.chamber_control import ChamberControl
-from gradcal_jax.hardware.clock import Clock, beside, in_thread
+from gradcal_jax.hardware.clock import Clock, in_thread, until
 from gradcal_jax.hardware.dry_run import dry_run_of
-from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, sentence_of
+from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, StepNotDone, sentence_of
 from gradcal_jax.hardware.guard import make_safe, put_back
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Journal, event_fields
-from gradcal_jax.hardware.setup import Bench, require_identity
+from gradcal_jax.hardware.roles import ImuSettings, ImuStream
+from gradcal_jax.hardware.setup import Bench, report_of
 from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, SafeOutcome
-from gradcal_jax.hardware.track import Ask, Stable, Track, TrackStep
-from gradcal_jax.hardware.unit_control import ExecutedStep, SampleLosses, UnitControl
-from gradcal_jax.spec.rig import ImuDevice
+from gradcal_jax.hardware.track import Ask, AxisCommand, Course, Stable, Track, TrackStep
+from gradcal_jax.hardware.unit_control import ExecutedStep, SampleLosses
 
-_HELPERS_END_S, _HELPERS_LOOK_S = 5.0, 0.02
+_HELPERS_END_S = 5.0
 _SLICE_S = 0.25
-_ARRIVAL_S, _PIECES_S, _LONGEST_ARRIVAL_S = 0.1, 0.2, 60.0
+_READS_S = 0.2
+_LONGEST_ARRIVAL_S = 60.0
 _TRIES = 3
 # The chamber's temperature while the operator reaches into it.
 _FOR_HANDS_C = 23.0
-
-
-class StepNotDone(Exception):
-    """A step was not executed as written; `unit`: the one whose samples it lacks."""
-
-    def __init__(self, number: int, why: str, unit: str = "") -> None:
-        Exception.__init__(self, why)
-        self.number, self.unit = number, unit
 
 
 @dataclass
@@ -61,16 +55,15 @@ class Runner:
     clock: Clock
     limits: InterlockLimits = field(default_factory=InterlockLimits)
     on_progress: Callable[[RunProgress], None] | None = None
-    on_alarm: Callable[[str], None] = lambda sentence: None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
     first_step: int = 0
     mounting: int = 0
     """The mounting of the IMUs when the run begins, as `Ask.mounting`; 0: unknown."""
+    known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
+    """The identities of the devices with which a run began that is resumed, by name."""
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
-    on_new_session: Callable[[int], None] = lambda first_step: None
-    """Called when the samples of an IMU are used again, with the step at which the run continues."""
 
     def __post_init__(self) -> None:
         self.state = RunState.IDLE
@@ -80,18 +73,16 @@ class Runner:
         """Real time of the last sign of life of the run's own thread."""
         self._interlocks = Interlocks()
         self._problem = ""
-        self._working, self._watching = threading.Event(), threading.Event()
+        self._working = threading.Event()
         chamber, latest_s = self.bench.chamber, self.limits.latest_s
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event, self.abort)
         track_kept = not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, keep_track=track_kept)
-        self._units: dict[str, UnitControl] = {}
+        self._units: dict[str, SampleLosses] = {}
+        """Of the units whose samples are awaited: they send none while the axes search for their references."""
         self._unconfirmed: deque[ExecutedStep] = deque()
         self._tries: dict[int, int] = {}
-        self._shortfall: StepNotDone | None = None
-        self._heard_end_s = math.inf
         self._shown_s = -math.inf
-        self._late: set[str] = set()
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
 
@@ -106,7 +97,6 @@ class Runner:
         with self.clock.party():
             try:
                 self._working.set()
-                self._watching.set()
                 self._prepare(helpers)
                 self._duties()
                 self._enter(RunState.RUNNING)
@@ -117,54 +107,51 @@ class Runner:
                 status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
             self._working.clear()
-            end_s = self.clock.now() + _HELPERS_END_S
-            while self.clock.now() < end_s and not all(helper.is_set() for helper in helpers):
-                self.clock.sleep(_HELPERS_LOOK_S)
+            until(lambda: all(helper.is_set() for helper in helpers), self.clock, longest_s=_HELPERS_END_S)
             # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", device=name, problem=problem)
-            unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
-            if unsafe or status == "aborted":
-                self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
-            self._event("end", exit_status=status, reason=reason, verified_safe=not unsafe)
-        return RunResult(status, reason, outcomes, self._steps_done, self.begun)
+            result = RunResult(status, reason, outcomes, self._steps_done, self.begun)
+            self._event("end", exit_status=status, reason=reason, verified_safe=result.verified_safe)
+        return result
 
     # ------------------------------------------------------------------------------------------------ the beginning
 
     def _prepare(self, helpers: list[threading.Event]) -> None:
+        limits: dict[str, Any] = {}
         for name, entry, device in self.bench.devices():
-            identity = device.identify()
-            require_identity(name, entry, identity)
-            self._event("identity", device=name, **event_fields(identity))
-            if isinstance(entry, ImuDevice):
-                self._units[name] = UnitControl(name, self.bench.imus[name], self.clock)
-                self._tell_settings(self._units[name])
-        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
-        if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
+            report = report_of(self.bench, name, entry, device, self.known.get(name))
+            if report.identity is not None:
+                self._event("identity", **event_fields(report.identity), device=name)
+            if report.problem:
+                raise HardwareError(report.problem)
+            limits[name] = report.limits
+            if isinstance(report.limits, ImuSettings):
+                self._event("configuration", device=name, **event_fields(report.limits))
+        if problems := dry_run_of(self.track, limits).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
-
-        def start(failed: str, work: Callable[[], None]) -> None:
-            """Work in a thread of its own; a sentence that begins with `failed` ends the run where it cannot go on."""
-            helpers.append(in_thread(work, self.clock, lambda problem: self.abort(f"{failed}: {problem}")))
-
-        if (chamber := self._chamber) is not None:
-            chamber.begin()
-            start("The chamber is not monitored", partial(chamber.watch, self.chamber_every_s, self._watching))
+        if self._chamber is not None:
+            self._chamber.begin()
         self.begun = True
         self.on_begin()
         # The units' data begin after the search for references.
         self._axes.home(self.track.moved, self._duties)
-        for name, unit in self._units.items():
-            unit.stream.start()
-            unit.listen(self.track.gyros)
-            start(name, partial(self._carry_bytes, unit))
+        for name, stream in self.bench.imus.items():
+            stream.start()
+            losses = SampleLosses(stream.decoder(), limits[name].sample_rate_hz, self.track.gyros, self.clock.now())
+            self._units[name] = losses
+            helpers.append(in_thread(partial(self._carry_bytes, name, stream, losses), self.clock, str))
 
-    def _tell_settings(self, unit: UnitControl) -> None:
-        self._event("configuration", device=unit.name, **event_fields(unit.settings))
-
-    def _carry_bytes(self, unit: UnitControl) -> None:
-        while self._working.is_set():
-            unit.carry_bytes(self.journal)
+    def _carry_bytes(self, name: str, stream: ImuStream, losses: SampleLosses) -> None:
+        """Write a unit's raw bytes to the journal first, then count its samples; in a thread of its own."""
+        try:
+            while self._working.is_set():
+                data, time_s = stream.read_bytes(_READS_S)
+                if data:
+                    self.journal.bytes_of(name, time_s, data, received=True)
+                    losses.push(data, time_s)
+        except Exception as problem:
+            self.abort(f"{name}: {problem}")
 
     # ---------------------------------------------------------------------------------------------------- the steps
 
@@ -174,27 +161,26 @@ class Runner:
         again = 0 < self.first_step < len(steps)
         if again:
             self._seam("the run was resumed; the step begins again")
-        while (number := self._steps_done) < len(steps) or self._unconfirmed or self._interlocks.pending:
+        while True:
             try:
-                if number == len(steps):
-                    self._await_confirmation()
-                    continue
-                self._unconfirmed.append(self._run_step(steps[number], again))
-                again = isinstance(steps[number], Ask)
-                self._steps_done += 1
-                self._confirm_steps()
+                while self._steps_done < len(steps):
+                    step = steps[self._steps_done]
+                    self._unconfirmed.append(self._run_step(step, again))
+                    again = isinstance(step, Ask)
+                    self._steps_done += 1
+                self._await_confirmation()
+                return
             except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
 
     def _seam(self, why: str) -> None:
-        self._event("seam", step=self.track.steps[self._steps_done].name, why=why)
+        self._event_of(self._steps_done, "seam", why=why)
 
     def _take_back(self, shortfall: StepNotDone) -> None:
         """This step and those after it are to be executed again."""
-        number = shortfall.number
-        self._say_not_done(shortfall)
-        self._shortfall = None
+        number = self._steps_done if shortfall.number is None else shortfall.number
+        self._event_of(number, "not done", why=str(shortfall))
         self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
@@ -204,100 +190,86 @@ class Runner:
         self._axes.stop()
         self._steps_done = number
         if shortfall.unit:
-            # Its samples count anew from here, as in a run that is resumed.
-            self.on_new_session(number)
-            for unit in self._units.values():
-                self._tell_settings(unit)
-            self._units[shortfall.unit].listen(self.track.gyros)
+            self._units[shortfall.unit].begin(self.clock.now())
         self._seam("the step is repeated: it was not executed as the recipe states")
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
         number, axes = self._steps_done, self._axes
-        self._event("step", step=step.name, number=number)
+        self._event_of(number, "step")
         anew = again or number == self.first_step or step.stable is not None
         if anew:
-            self._place(step, again)
+            # Axes and chamber go to the step's start.
+            axes.go_to_start(step.name, step.start_deg, self._duties)
+            stable = step.stable or (self.track.again if again else None)
+            if step.start_c is not None and stable is not None:
+                self._stabilise(step, step.start_c, stable)
         begin = self.clock.now() if anew else self._step_ends_s
-        if isinstance(step, Ask):
+        if isinstance(step, Ask) and step.mounting != self.mounting:
             self._ask(step)
         axes.late_s = 0.0 if anew else axes.late_s
         self._step_ends_s = begin + step.duration_s
-        self._event("step begins", step=step.name, number=number, begins_s=begin, data=step.data)
+        self._event_of(number, "step begins", begins_s=begin, data=step.data)
         end = self._move(step, begin, anew)
         after = self.track.steps[number + 1 :][:1]
         if not after or after[0].stable is not None or isinstance(after[0], Ask):
             axes.end_spins(step.name, step.duration_s)
         axes.settle_all(self._duties)
-        self._require_executed()
         axes.late_s = end - self._step_ends_s
-        self._event("step ends", at_once=False, step=step.name, number=number)
+        self._event_of(number, "step ends", at_once=False)
         return ExecutedStep(number, begin, self.clock.now(), step.turned_deg)
 
     def _move(self, step: TrackStep, begin: float, anew: bool) -> float:
-        """Everything in a step's own time; returns its end."""
+        """Everything in a step's own time; returns its end.
+
+        While an axis is turned by hand nothing is read and nothing moves: of the readings that fell due meanwhile the
+        last counts.
+        """
         axes, planned = self._axes, bool(step.read_at_s)
         courses = deque(self.track.courses_from(self._steps_done) if anew else step.courses)
-        moves = deque(step.moves)
-        reads = deque(step.read_at_s)
+        reads_s = step.read_at_s
         if not planned:
-            reads.extend(k * step.read_every_s for k in range(math.ceil(step.duration_s / step.read_every_s)))
+            reads_s = [k * step.read_every_s for k in range(math.ceil(step.duration_s / step.read_every_s))]
+        agenda: list[tuple[float, AxisCommand | None]] = [(time_s, None) for time_s in reads_s]
+        agenda += [(move.start_s, move) for move in step.moves]
+        # A reading at the time of a move comes first.
+        agenda.sort(key=lambda entry: entry[0])
         while True:
-            now, motion = self.clock.now(), begin + axes.late_s
+            motion = begin + axes.late_s
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
-            while reads and motion + reads[-1] > end + 1e-6:
-                reads.pop()
-            if reads and motion + reads[0] <= now and not axes.turned_by_hand:
-                self._read(reads, motion, planned)
+            agenda = [entry for entry in agenda if entry[1] or motion + entry[0] <= end + 1e-6]
+            while agenda and motion + agenda[0][0] <= self.clock.now() and not axes.turned_by_hand:
+                start_s, move = agenda.pop(0)
+                if move is not None:
+                    axes.move(step.name, move, motion + start_s, self._duties)
+                    continue
+                skipped = bool(agenda) and agenda[0][1] is None and motion + agenda[0][0] <= self.clock.now()
+                if not (skipped and axes.by_hand):
+                    self._require_on_time("a reading was {:.1f} s late", motion + start_s)
+                if not skipped:
+                    axes.read(planned=planned)
             while courses and begin + courses[0].start_s <= self.clock.now():
                 course = courses.popleft()
                 due_s = begin + course.start_s
-                self._note_late("the temperature profile was sent to the chamber {:.1f} s late", due_s)
+                self._require_on_time("the temperature profile was sent to the chamber {:.1f} s late", due_s)
                 if self._chamber is not None:
                     self._chamber.tell(course, due_s)
-            while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
-                axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
-                moves.popleft()
-            axes.look()
-            self._require_executed()
+            look_s = axes.look()
             self._duties(end)
-            if self.clock.now() >= end and not (moves or reads or axes.turned_by_hand):
+            now, waits = self.clock.now(), axes.turned_by_hand
+            if now >= end and not (agenda or waits):
                 return end
-            dues = [self.clock.now() + _SLICE_S, axes.look_s]
-            dues += [end] if end > now else []
+            dues = [now + _SLICE_S, look_s, end if end > now else math.inf]
             dues += [begin + courses[0].start_s] if courses else []
-            if not axes.turned_by_hand:
-                dues += [motion + reads[0]] if reads else []
-                dues += [motion + moves[0].start_s] if moves else []
+            dues += [motion + agenda[0][0]] if agenda and not waits else []
             self.clock.sleep_until(min(dues))
 
-    def _read(self, reads: deque[float], motion: float, planned: bool) -> None:
-        """Take the readings that are due, as one. While an axis is turned by hand nothing is read: of what fell due
-        meanwhile the last counts."""
-        now = self.clock.now()
-        due_s = motion + reads[0]
-        while reads and motion + reads[0] <= now:
-            due_s = motion + reads[0] if self._axes.by_hand else due_s
-            reads.popleft()
-        if planned:
-            self._note_late("a reading was {:.1f} s late", due_s)
-        self._axes.read(planned=planned)
-
-    def _note_late(self, what: str, due_s: float) -> None:
+    def _require_on_time(self, what: str, due_s: float) -> None:
         if (late_s := self.clock.now() - due_s) > self.limits.latest_s:
-            self._axes.amiss.append(what.format(late_s))
-
-    def _place(self, step: TrackStep, again: bool) -> None:
-        """Bring axes and chamber to the step's start, and wait for its condition."""
-        self._axes.go_to_start(step.name, step.start_deg, self._duties)
-        stable = step.stable or (self.track.again if again else None)
-        if step.start_c is not None and stable is not None:
-            self._stabilise(step, step.start_c, stable)
+            raise StepNotDone(what.format(late_s))
 
     def _ask(self, step: Ask) -> None:
         """Ask the operator to hang the units, and wait without a time-out."""
         console = self.bench.console
-        if step.mounting == self.mounting:
-            return
         if console is None:
             raise HardwareError(
                 f"The mounting of the IMUs must be changed ({step.hang}), and there is no operator to ask."
@@ -307,9 +279,7 @@ class Runner:
             self._stabilise(step, _FOR_HANDS_C, self.track.again)
         console.ask(f"mount the IMUs as follows: {step.hang}; press Enter when they are mounted:")
         try:
-            while console.answer() is None:
-                self._duties()
-                self.clock.sleep(_SLICE_S)
+            until(lambda: console.answer() is not None, self.clock, self._duties, every_s=_SLICE_S)
         finally:
             console.withdraw("cancelled: leave the IMUs as they are mounted.")
         self.mounting = step.mounting
@@ -318,85 +288,54 @@ class Runner:
     def _stabilise(self, step: TrackStep, at_c: float, ready: Stable) -> None:
         if (chamber := self._chamber) is None:
             return
-        chamber.approach(at_c)
-        beside(partial(chamber.hold, at_c), self.clock, self._duties)
         began = self.clock.now()
-        while (value := chamber.stable_at(at_c, ready)) is None:
-            self._duties()
-            if self.clock.now() - began > ready.timeout_s:
-                raise HardwareError(
-                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of {at_c:g} "
-                    f"degC after {ready.timeout_s:g} s. Check the chamber, or allow more time."
-                )
-            self.clock.sleep(_SLICE_S)
+        chamber.tell(Course(0.0, at_c), began)
+        is_so = partial(chamber.is_stable_at, at_c, ready)
+        if not until(is_so, self.clock, self._duties, longest_s=ready.timeout_s, every_s=_SLICE_S):
+            raise HardwareError(
+                f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of {at_c:g} "
+                f"degC after {ready.timeout_s:g} s. Check the chamber, or allow more time."
+            )
         chamber.expected.stands(self.clock.now(), at_c)
-        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
+        self._event("stable", step=step.name, temperature_c=chamber.newest_c, waited_s=self.clock.now() - began)
 
     # ----------------------------------------------------------------------------------------- each step done or said
 
-    @property
-    def _losses(self) -> dict[str, SampleLosses]:
-        """Of the units whose samples are awaited."""
-        return {name: unit.losses for name, unit in self._units.items() if unit.losses is not None}
-
-    def _require_executed(self) -> None:
-        """Interrupt the step where axes or readings deviate from the track: it is to be repeated."""
-        if self._shortfall is not None:
-            raise self._shortfall
-        if self._axes.amiss:
-            raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
-
     def _confirm_steps(self) -> None:
-        """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete.
-        The first bytes after its end may be a piece of a burst whose other pieces hold the step's last samples."""
-        while self._unconfirmed and self._shortfall is None and self._has_samples_of(self._unconfirmed[0]):
-            self._heard_end_s = min(self._heard_end_s, self.clock.now())
-            if self.clock.now() < self._heard_end_s + _PIECES_S:
-                return
-            self._heard_end_s = math.inf
-            self._shortfall = self._shortfall_of(self._unconfirmed[0])
-            if self._shortfall is None:
-                self._confirm(self._unconfirmed.popleft())
+        """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete."""
+        while self._unconfirmed and self._has_samples_of(self._unconfirmed[0]):
+            if shortfall := self._shortfall_of(self._unconfirmed[0]):
+                raise shortfall
+            self._event_of(self._unconfirmed.popleft().number, "step done")
 
     def _has_samples_of(self, executed: ExecutedStep) -> bool:
-        latest_s = min((losses.newest.time_s for losses in self._losses.values()), default=math.inf)
-        return executed.ended_s + _ARRIVAL_S <= latest_s
+        now = self.clock.now()
+        return all(losses.complete(executed.ended_s, now) for losses in self._units.values())
 
     def _shortfall_of(self, executed: ExecutedStep) -> StepNotDone | None:
-        for name, losses in self._losses.items() if self.track.steps[executed.number].data else ():
+        for name, losses in self._units.items() if self.track.steps[executed.number].data else ():
             if lost := losses.between(executed, self.limits):
-                return StepNotDone(executed.number, f"{name}: {lost}", name)
+                return StepNotDone(f"{name}: {lost}", executed.number, name)
         return None
-
-    def _confirm(self, executed: ExecutedStep) -> None:
-        self._event("step done", step=self.track.steps[executed.number].name, number=executed.number)
 
     def _await_confirmation(self) -> None:
         """Wait for the samples of the last steps, and until no rule is violated: one that is violated in the last
         seconds clears or trips before the run is done."""
-        until = self.clock.now() + _LONGEST_ARRIVAL_S
-        while self._unconfirmed or self._interlocks.pending:
-            self._require_executed()
-            self._duties()
-            if self.clock.now() > until:
-                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
-            self.clock.sleep(_SLICE_S)
+        is_so = lambda: not (self._unconfirmed or self._interlocks.pending)  # noqa: E731
+        if not until(is_so, self.clock, self._duties, longest_s=_LONGEST_ARRIVAL_S, every_s=_SLICE_S):
+            raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
 
     def _judge_the_rest(self) -> None:
         """At the end of a run that did not finish: each executed step is done, or said to be not done."""
         for executed in self._unconfirmed:
-            shortfall = self._shortfall_of(executed)
-            if shortfall is None and not self._has_samples_of(executed):
-                shortfall = StepNotDone(executed.number, "the run ended before all of its samples had come")
-            if shortfall is None:
-                self._confirm(executed)
+            why = str(self._shortfall_of(executed) or "")
+            if not (why or self._has_samples_of(executed)):
+                why = "the run ended before all of its samples had come"
+            if why:
+                self._event_of(executed.number, "not done", why=why)
             else:
-                self._say_not_done(shortfall)
+                self._event_of(executed.number, "step done")
         self._unconfirmed.clear()
-
-    def _say_not_done(self, shortfall: StepNotDone) -> None:
-        name = self.track.steps[shortfall.number].name
-        self._event("not done", step=name, number=shortfall.number, why=str(shortfall))
 
     # ------------------------------------------------------------------------------------------- duties in every state
 
@@ -413,8 +352,9 @@ class Runner:
         self._axes.watch()
         now, limits, violated = self.clock.now(), self.limits, self._axes.violated()
         if self._chamber is not None:
+            self._chamber.attend(self.chamber_every_s)
             violated |= self._chamber.violated(limits)
-        ages_s = {name: now - losses.newest.time_s for name, losses in self._losses.items()}
+        ages_s = {name: now - losses.newest.time_s for name, losses in self._units.items()}
         if old := [f"{name} for {age_s:.1f} s" for name, age_s in ages_s.items() if age_s > limits.imu_stale_s]:
             violated["stale unit"] = f"no sample from {', '.join(old)}"
         if (free := self.journal.free_bytes) < limits.free_bytes:
@@ -424,16 +364,8 @@ class Runner:
             self._event("interlock", at_once=False, rule=rule, text=text)
             raise HardwareError(f"Interlock '{rule}': {text}.")
 
-    def _late_replies(self) -> tuple[str, ...]:
-        """A sentence for each line on which replies come after their time-out; an event for each device at first."""
-        late = {name: line.late for name, line in self.bench.lines.items() if line.late}
-        for name in late.keys() - self._late:
-            self._event("late reply", at_once=False, device=name, what=late[name])
-        self._late |= late.keys()
-        return tuple(dict.fromkeys(late.values()))
-
     def _show(self, end_s: float | None) -> None:
-        now, late = self.clock.now(), self._late_replies()
+        now = self.clock.now()
         if self.on_progress is None or now - self._shown_s < self.chamber_every_s:
             return
         self._shown_s = now
@@ -448,10 +380,10 @@ class Runner:
             step_left_s=left,
             track_left_s=ahead_s + (left or 0.0),
             chamber=None if chamber is None else chamber.newest,
-            axes=self._axes.newest,
+            axes={name: axis.newest for name, axis in self._axes.axes.items() if axis.newest is not None},
             course_c=chamber and chamber.expected.of_late(now, self.limits.temperature_lag_s),
-            samples={name: (losses.newest.received, losses.newest.missing) for name, losses in self._losses.items()},
-            remarks=late,
+            samples={name: (losses.newest.received, losses.newest.missing) for name, losses in self._units.items()},
+            remarks=tuple(dict.fromkeys(line.late for line in self.bench.lines.values() if line.late)),
         )
         self.on_progress(progress)
 
@@ -459,20 +391,19 @@ class Runner:
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""
-        # A chamber that is being made safe gets no other commands.
-        self._watching.clear()
+        began_s = self.clock.now()
         self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, at_once=False)
         self._event("ending", at_once=False, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, busy=self._is_busy))
         for outcome in outcomes:
-            fields = event_fields(outcome)
-            self._event("made safe", fields.pop("at_s"), **fields)
+            self._event("made safe", began_s + outcome.took_s, **event_fields(outcome))
         self._judge_the_rest()
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
 
     def _is_busy(self, name: str) -> bool:
+        # A chamber that is being made safe gets no other commands: only the duties begin them.
         if self._chamber is not None and name == "chamber":
             return not self._chamber.end(0.5 * self.safe_deadline_s)
         return self._axes.is_homing(name)
@@ -485,3 +416,7 @@ class Runner:
     def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()
         self.journal.event(self.clock.now() if at_s is None else at_s, name, at_once=at_once, **data)
+
+    def _event_of(self, number: int, name: str, **data: Any) -> None:
+        """An event of a step."""
+        self._event(name, step=self.track.steps[number].name, number=number, **data)

@@ -31,6 +31,7 @@ from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hin
 LEFT: Final = "left streaming"
 """What happens to an IMU at the end of a run: it has no unsafe state."""
 Role = Literal["chamber", "axis", "imu"]
+Opened = roles.MotionAxis | roles.TemperatureChamber | roles.ImuStream
 Device = ChamberDevice | AxisDevice | ImuDevice
 
 ENTRY_POINTS: Final = "gradcal.drivers"
@@ -146,13 +147,11 @@ class Bench(AbstractContextManager["Bench"]):
     """Where the operator is asked to change the mounting."""
     lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
     """The open serial line of every device, by its name; absent for the terminal."""
-    simulated: bool = False
-    """Whether its devices are simulated and wait on the run's clock, instead of on lines."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
     def settings(self) -> dict[str, roles.KeptSettings]:
-        return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
+        return {name: device.settings for name, device in self.axes.items()}
 
     def chamber_limits(self) -> roles.ChamberLimits | None:
         if self.chamber is None or self.rig.chamber is None:
@@ -162,7 +161,7 @@ class Bench(AbstractContextManager["Bench"]):
         highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
         return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
 
-    def devices(self) -> list[tuple[str, Device, roles.MotionAxis | roles.TemperatureChamber | roles.ImuStream]]:
+    def devices(self) -> list[tuple[str, Device, Opened]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
         opened: dict[str, Any] = {**self.axes, **self.imus, "chamber": self.chamber}
         return [(name, entry, opened[name]) for _, _, name, entry in _entries(self.rig) if opened.get(name)]
@@ -233,7 +232,7 @@ def open_rig(
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """A device's identity and limits, or the sentence why there are none."""
+    """A device's identity and limits, and what is wrong with it."""
 
     name: str
     driver: str
@@ -242,18 +241,16 @@ class DeviceReport:
     limits: roles.ChamberLimits | roles.AxisLimits | roles.ImuSettings | None = None
     problem: str = ""
 
-    @property
-    def good(self) -> bool:
-        return not self.problem
-
 
 def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
-    """The rig with these devices alone; the chamber's name is "chamber"."""
+    """The rig with these devices alone, and nobody to ask; the chamber's name is "chamber"."""
     chosen = {role: tuple(of for of in getattr(rig, role) if of.name in names) for role in ("axis", "imu")}
-    return rig.model_copy(update={"chamber": rig.chamber if "chamber" in names else None, **chosen})
+    chamber = rig.chamber if "chamber" in names else None
+    return rig.model_copy(update={"chamber": chamber, "operator": None, **chosen})
 
 
 def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
+    """The port and the safe state of each device."""
     return {name: (device.port, getattr(device, "safe", LEFT)) for _, _, name, device in _entries(rig)}
 
 
@@ -263,22 +260,23 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     configs_of(rig)
     reports: list[DeviceReport] = []
     # The chamber first, as in the rig file.
-    for _, _, name, device in sorted(_entries(rig), key=lambda entry: entry[0] != "chamber"):
+    for _, _, name, entry in sorted(_entries(rig), key=lambda entry: entry[0] != "chamber"):
         try:
             with open_rig(only_of(rig, {name}), clock) as bench:
-                reports += [_report(bench, *device) for device in bench.devices()]
+                reports += [report_of(bench, *device) for device in bench.devices()]
         except HardwareError as problem:
-            reports.append(DeviceReport(name, device.driver, device.port, problem=str(problem)))
+            reports.append(DeviceReport(name, entry.driver, entry.port, problem=str(problem)))
     return reports
 
 
-def _report(
-    bench: Bench, name: str, entry: Device, device: roles.MotionAxis | roles.TemperatureChamber | roles.ImuStream
+def report_of(
+    bench: Bench, name: str, entry: Device, device: Opened, known: Mapping[str, Any] | None = None
 ) -> DeviceReport:
-    identity = None
+    """What a device says of itself. `known`: the identity of the device with which a run began that is resumed."""
+    identity, limits, faults = None, None, ()
     try:
         identity = device.identify()
-        require_identity(name, entry, identity)
+        _require_identity(f"{name} at {entry.port}", entry, identity, known or {})
         if isinstance(device, roles.ImuStream):
             limits = device.configure()
         else:
@@ -290,17 +288,23 @@ def _report(
             else:
                 # Many controllers report a missing reference as a fault: a run homes the axis first.
                 faults = reading.faults if reading.referenced else ()
-            if faults:
-                return DeviceReport(name, entry.driver, entry.port, identity, problem=f"ALARM {', '.join(faults)}")
-        return DeviceReport(name, entry.driver, entry.port, identity, limits)
-    except HardwareError as problem:
-        return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))
+        problem = f"ALARM {', '.join(faults)}" if faults else ""
+    except HardwareError as error:
+        problem = str(error)
+    return DeviceReport(name, entry.driver, entry.port, identity, limits, problem)
 
 
-def require_identity(name: str, entry: Device, identity: roles.Identity) -> None:
-    """Raises `WrongIdentity` when the rig file names another serial number than the device."""
+def _require_identity(here: str, entry: Device, identity: roles.Identity, known: Mapping[str, Any]) -> None:
+    """Raises `WrongIdentity` where the rig file names another serial number than the device, or where a run that is
+    resumed began with another device."""
     if entry.serial_number is not None and entry.serial_number != identity.serial_number:
         raise WrongIdentity(
-            f"{name} at {entry.port} has the serial number {identity.serial_number or '(none reported)'}, but the "
-            f"rig file states {entry.serial_number}. Connect the right device or correct the rig file."
+            f"{here} has the serial number {identity.serial_number or '(none reported)'}, but the rig file states "
+            f"{entry.serial_number}. Connect the right device or correct the rig file."
+        )
+    of = {key: (value, known.get(key, value)) for key, value in vars(identity).items()}
+    if changed := [f"{key} {now!r}, was {then!r}" for key, (now, then) in of.items() if now != then]:
+        raise WrongIdentity(
+            f"{here} is another device than at the beginning of the run ({'; '.join(changed)}). Connect the device "
+            "that the run began with, or begin a new run."
         )

@@ -7,8 +7,8 @@ import json
 import subprocess
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -29,10 +29,10 @@ _LONGEST_STATUS: Final = 1_000_000
 _WRITE_S: Final = 0.2
 
 
-@dataclass
+@dataclass(eq=False)
 class SafeOutcome:
-    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` and `at_s`, when it was
-    verified (none: it was not), are of the run's clock.
+    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s`, until the newest
+    read-back, is of the run's clock.
 
     Its thread fills it; the waiting thread takes a copy, with the state so far of a thread that hangs.
     """
@@ -43,7 +43,6 @@ class SafeOutcome:
     evidence: str = "has not answered yet"
     tries: int = 0
     took_s: float = 0.0
-    at_s: float | None = None
 
 
 class RunState(Enum):
@@ -98,35 +97,29 @@ class RunProgress:
         return json_of({"at_s": time.time(), **asdict(self), "state": self.state.value})
 
 
-class StatusFile(ExitStack):
-    """Written by a thread of its own: as context."""
+@contextmanager
+def status_file(folder: Path, *, simulated: bool) -> Generator[Callable[[Mapping[str, Any]], None]]:
+    """A function that changes the status in the file, which a thread of its own writes."""
+    status: dict[str, Any] = {"format": FORMAT, "simulated": simulated}
+    changed = threading.Event()
 
-    def __init__(self, folder: Path, *, simulated: bool) -> None:
-        super().__init__()
-        self._path = folder / STATUS
-        self._head = {"format": FORMAT, "simulated": simulated}
-        self._status = self._written = dict[str, Any]()
+    def change(changes: Mapping[str, Any]) -> None:
+        status.update(changes)
+        changed.set()
 
-    def __enter__(self) -> "StatusFile":
-        self.enter_context(repeating(self._write, _WRITE_S))
-        return self
+    def write() -> None:
+        if changed.is_set():
+            changed.clear()
+            _write_status(folder / STATUS, dict(status))
 
-    def show(self, progress: RunProgress) -> None:
-        self._status = progress.as_status()
-
-    def end(self, result: RunResult) -> None:
-        done = {"steps_done": result.steps_done}
-        self._status = self._status | done | _ended(result.exit_status, result.reason, result.verified_safe)
-
-    def _write(self) -> None:
-        if self._status is not self._written:
-            self._written = self._status
-            _write_status(self._path, self._head | self._written)
+    with repeating(write, _WRITE_S):
+        yield change
 
 
-def _ended(exit_status: str, reason: str, safe: bool) -> dict[str, Any]:
-    ended = {"exit_status": exit_status, "reason": reason, "verified_safe": safe}
-    return {**ended, "state": "safe" if safe else "failed", "at_s": time.time()}
+def ended(exit_status: str, reason: str, safe: bool) -> dict[str, Any]:
+    """What the status says of an end."""
+    end = {"exit_status": exit_status, "reason": reason, "verified_safe": safe}
+    return {**end, "state": "safe" if safe else "failed", "at_s": time.time()}
 
 
 def _write_status(path: Path, status: Mapping[str, Any]) -> None:
@@ -143,8 +136,8 @@ def _write_status(path: Path, status: Mapping[str, Any]) -> None:
 def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
     """How a run ended whose guard made it safe, in its status file; nothing where there is none."""
     with suppress(OSError, ValueError):
-        ended = _ended("lost", why, all(outcome.verified for outcome in outcomes))
-        _write_status(folder / STATUS, read_status(folder) | ended)
+        end = ended("lost", why, all(outcome.verified for outcome in outcomes))
+        _write_status(folder / STATUS, read_status(folder) | end)
 
 
 def read_status(folder: Path) -> dict[str, Any]:

@@ -61,16 +61,13 @@ class AxisCommand:
 
     def turned_deg(self, after_s: float) -> float:
         """How far a turn is planned to have gone so long after its beginning, with its sign."""
-        rest_s, way, peak = self.duration_s - after_s, abs(self.angle_deg), self._peak_dps
-        if after_s <= 0.0 or rest_s <= 0.0:
-            return 0.0 if after_s <= 0.0 else self.angle_deg
-        ramp_s = peak / self.acceleration_dps2
-        if after_s < ramp_s:
-            done = 0.5 * self.acceleration_dps2 * after_s**2
-        elif rest_s < ramp_s:
-            done = way - 0.5 * self.acceleration_dps2 * rest_s**2
-        else:
-            done = peak * (after_s - 0.5 * ramp_s)
+        left_s, peak = self.duration_s - after_s, self._peak_dps
+        if left_s < after_s:
+            # It ends as it begins.
+            return self.angle_deg - self.turned_deg(left_s)
+        going_s, ramp_s = max(after_s, 0.0), peak / self.acceleration_dps2
+        ramps = going_s < ramp_s
+        done = 0.5 * self.acceleration_dps2 * going_s**2 if ramps else peak * (going_s - 0.5 * ramp_s)
         return math.copysign(done, self.angle_deg)
 
 
@@ -137,24 +134,12 @@ class GyroErrors:
 @dataclass(frozen=True)
 class Track:
     """The whole run. `again`: how the temperature is stable before a step that is begun anew; `gyros`: None where the
-    unit has none; `read_at_rest`: axes are read while they stand. Errors: `ValueError` for inconsistent times."""
+    unit has none; `read_at_rest`: axes are read while they stand."""
 
     steps: tuple[TrackStep, ...]
     again: Stable | None = None
     gyros: GyroErrors | None = GyroErrors()
     read_at_rest: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.steps:
-            raise ValueError("A track needs at least one step.")
-        for step in self.steps:
-            starts = [0.0, *(move.start_s for move in step.moves), step.duration_s]
-            if starts != sorted(starts) or not step.read_every_s > 0.0:
-                raise ValueError(f"Step {step.name!r}: moves must be in order of time, within {step.duration_s:g} s.")
-            if step.stable is not None and step.start_c is None:
-                raise ValueError(f"Step {step.name!r} waits for a temperature but sets none.")
-            if any(course.ramp_k_per_min is not None and course.ramp_k_per_min <= 0.0 for course in step.courses):
-                raise ValueError(f"Step {step.name!r}: the rate of a ramp must be above zero.")
 
     @property
     def duration_s(self) -> float:
@@ -189,7 +174,15 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     Axes of recipe and rig match by name; where both have one axis only, these match whatever their names. Raises
     `HardwareError` where an axis is missing.
     """
-    names = _names(recipe, axes)
+    placed = {name for block in recipe.motion for name in block.start}
+    moves = [move for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")]
+    turned = sorted(placed | {move.axis for move in moves})
+    names = dict(zip(turned, axes if len(turned) == len(axes) == 1 else turned, strict=True))
+    if missing := [name for name in names.values() if name not in axes]:
+        raise HardwareError(
+            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: use "
+            "the names of the recipe for the rig's axes."
+        )
     blocks = {block.begins_with: block for block in recipe.motion}
     stretches: list[tuple[MotionBlock | None, list[ChamberSegment]]] = []
     for segment in recipe.chamber:
@@ -208,8 +201,9 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             unread = alone and bool(steps) and not steps[-1].data
             before = steps.pop() if unread else TrackStep(f"{block.name}: mounting")
             steps.append(Ask(before.name, before.duration_s, hang=block.hang, mounting=block.mounting or 0))
-        stretch = _stretch(block, segments, recipe.stability, names, first=number == 0, ends=ends)
-        steps += [replace(step, start_c=None, stable=None, courses=()) for step in stretch] if alone else stretch
+        steps += _stretch(block, segments, recipe.stability, names, first=number == 0, ends=ends)
+    if alone:
+        steps = [replace(step, start_c=None, stable=None, courses=()) for step in steps]
     again = None if alone else _stable(recipe.stability, first=True)
     return Track(tuple(steps), again, _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
@@ -227,20 +221,6 @@ def _gyro_errors(sensor: Sensor) -> GyroErrors | None:
     return GyroErrors(max(usual.share, scale), max(usual.bias_dps, bias))
 
 
-def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
-    placed = {name for block in recipe.motion for name in block.start}
-    moves = [move for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")]
-    turned = sorted(placed | {move.axis for move in moves})
-    if len(turned) == 1 and len(axes) == 1:
-        return {turned[0]: axes[0]}
-    if missing := [name for name in turned if name not in axes]:
-        raise HardwareError(
-            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: use "
-            "the names of the recipe for the rig's axes."
-        )
-    return {name: name for name in turned}
-
-
 def _stable(stability: Stability, *, first: bool) -> Stable:
     timeout = stability.first_timeout if first else stability.timeout
     return Stable(float(stability.within), float(stability.for_at_least), float(timeout))
@@ -256,45 +236,38 @@ def _stretch(
     ends: bool,
 ) -> list[TrackStep]:
     """The steps of a stretch of data; without a block one step, whose samples are not used and whose axes stand."""
-    lasts_s = [float(segment.duration) for segment in segments]
-    total = math.fsum(lasts_s)
-    begins_s = list(itertools.accumulate(lasts_s, initial=0.0))
-    start_c = float(segments[0].temperature_start)
-    courses, knots_c = list[Course](), [start_c]
-    for segment, time_s in zip(segments, begins_s, strict=False):
-        ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
-        courses.append(Course(time_s, float(segment.temperature_end), ramp))
-        knots_c.append(float(segment.temperature_end))
+    begins_s = list(itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0))
+    ramps = [None if segment.slope is None else abs(float(segment.slope)) * 60.0 for segment in segments]
+    ends_c = [float(segment.temperature_end) for segment in segments]
+    courses = [Course(*course) for course in zip(begins_s, ends_c, ramps, strict=False)]
+    knots_c, total, at = [float(segments[0].temperature_start), *ends_c], begins_s[-1], dict[str, float]()
     if block is None:
-        parts = [(0.0, TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S))]
-        at = dict[str, float]()
+        parts = [TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S)]
     else:
-        parts = list(_parts(block, total, names, ends=ends))
+        parts = _parts(block, total, names, ends=ends)
         at = dict.fromkeys(names.values(), 0.0)
         at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
     steps: list[TrackStep] = []
-    for number, (from_s, part) in enumerate(parts):
-        inside = [c for c in courses if from_s - 1e-6 <= c.start_s < from_s + part.duration_s - 1e-6]
-        waits = number == 0 and segments[0].begins == "when stable"
+    begin_s = 0.0
+    for part in parts:
+        inside = [c for c in courses if begin_s - 1e-6 <= c.start_s < begin_s + part.duration_s - 1e-6]
+        waits = not steps and segments[0].begins == "when stable"
         step = replace(
             part,
-            start_c=float(np.interp(from_s, begins_s, knots_c)),
+            start_c=float(np.interp(begin_s, begins_s, knots_c)),
             stable=_stable(stability, first=first) if waits else None,
-            courses=tuple(replace(course, start_s=max(course.start_s - from_s, 0.0)) for course in inside),
+            courses=tuple(replace(course, start_s=max(course.start_s - begin_s, 0.0)) for course in inside),
             start_deg=dict(at),
             data=block is not None,
         )
         steps.append(step)
+        begin_s += part.duration_s
         for move in part.moves:
             at[move.axis] += move.angle_deg
     return steps
 
 
-Part = tuple[float, TrackStep]
-"""The time at which a step begins (s), on the clock of its stretch, and the step without the chamber."""
-
-
-def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[Part]:
+def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[TrackStep]:
     """The moves and readings of a block, cut where a cycle or a rate begins, or at even parts of a long rest. `ends`:
     rests are read at their ends; else a table that stands while others move is read at even intervals all the time."""
     period, after = float(block.period), float(block.standing_after)
@@ -302,40 +275,38 @@ def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: boo
     spins = any(move.do == "spin" for move in block.moves)
     own = [move for move in block.moves if move.do != "wait"]
     busy = math.fsum(float(move.duration) for move in own)
+    cuts = [number * period for number in range(block.repeat)]
     moves: list[AxisCommand] = []
     reads = [0.0]
-    for number in range(block.repeat):
-        last = number == block.repeat - 1
-        for move in own if last and not rests else block.moves:
+    for number, cycle in enumerate(cuts, 1):
+        for move in own if number == len(cuts) and not rests else block.moves:
             lasts_s = float(move.duration)
-            start = number * period + float(move.start)
+            start = cycle + float(move.start)
             moves += _commands(move, start, names, spins=spins)
             every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
             reads += _reads(start, lasts_s, every, ends=ends or spins)
             at_end = move.read == "end" if every is None else ends and move.do == "rest"
             if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
                 reads.append(start + lasts_s)
-        if last and after > 0.0 and block.read_every_after is not None:
-            reads += _reads(total - after, after, float(block.read_every_after), ends=ends)
-    count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
-    cuts = [number * period for number in range(block.repeat)]
-    if rests or spins:
-        cuts = [k * (total / count) for k in range(count)] if rests else [float(move.start) for move in block.moves]
+    if after > 0.0 and block.read_every_after is not None:
+        reads += _reads(total - after, after, float(block.read_every_after), ends=ends)
+    if spins:
+        cuts = [float(move.start) for move in block.moves]
+    elif rests:
+        count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
+        cuts = [k * (total / count) for k in range(count)]
     starts = [move.start_s + _HAIR_S for move in moves]
     reads.sort()
     for number, (begin, end) in enumerate(itertools.pairwise([*cuts, total]), 1):
         inside = moves[bisect(starts, begin) : bisect(starts, end)]
         first = bisect(reads, begin + _HAIR_S) if number > 1 else 0
-        yield (
-            begin,
-            TrackStep(
-                f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
-                end - begin,
-                # A reading at the end of a turn comes before the turn that begins then: both are the same number.
-                moves=tuple(replace(move, start_s=max(round(move.start_s - begin, 9), 0.0)) for move in inside),
-                read_at_s=tuple(round(time_s - begin, 9) for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
-                slack_s=after if number == len(cuts) else max(0.0, period - busy),
-            ),
+        yield TrackStep(
+            f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
+            end - begin,
+            # A reading at the end of a turn comes before the turn that begins then: both are the same number.
+            moves=tuple(replace(move, start_s=max(round(move.start_s - begin, 9), 0.0)) for move in inside),
+            read_at_s=tuple(round(time_s - begin, 9) for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
+            slack_s=after if number == len(cuts) else max(0.0, period - busy),
         )
 
 

@@ -1,9 +1,10 @@
-"""A unit in a run: its bytes into the journal, the count of its samples, and what a step lacks of them.
+"""The samples of a unit in a run: how many came, and what a step lacks of them.
 
 A step may lack samples themselves, their rate, or the motion that the table made; then it is repeated.
 """
 
 import itertools
+import math
 from bisect import bisect, bisect_left
 from collections import deque
 from dataclasses import dataclass
@@ -11,10 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.interlocks import InterlockLimits
-from gradcal_jax.hardware.journal import Journal
-from gradcal_jax.hardware.roles import ImuDecoder, ImuStream
+from gradcal_jax.hardware.roles import ImuDecoder
 from gradcal_jax.hardware.track import GyroErrors
 
 # The rate of samples is measured over at least so long, beside each step's own count.
@@ -24,7 +23,8 @@ _RATE_OFF: Final = 0.05
 _SLACK_S: Final = 0.5
 _LEAST_TURN_DEG: Final = 90.0
 _TOGETHER_S: Final = 0.25
-_READS_S: Final = 0.2
+# Samples of a step's end have come when later ones have; a burst comes in pieces.
+_ARRIVAL_S, _PIECES_S = 0.1, 0.2
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,10 @@ class SampleLosses:
 
     def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None, start_s: float) -> None:
         self._decoder, self._sample_rate_hz, self._gyros = decoder, sample_rate_hz, gyros
+        self.begin(start_s)
+
+    def begin(self, start_s: float) -> None:
+        """Count the samples from here on."""
         self._arrivals: deque[_Arrival] = deque([_Arrival(start_s, start_s)], maxlen=1 << 16)
 
     @property
@@ -74,21 +78,32 @@ class SampleLosses:
         if before.received > 0 and not restarts and time_s - before.begins_s <= _TOGETHER_S:
             begins_s = before.begins_s
             self._arrivals.pop()
-        turned = float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
         newest = _Arrival(
             begins_s,
             time_s,
             before.received + int(usable.sum()),
             before.missing + int(batch.gap_before.sum()),
             before.restarts + restarts,
-            before.turned_deg + turned,
+            before.turned_deg + float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s,
         )
         self._arrivals.append(newest)
+
+    def complete(self, ended_s: float, now_s: float) -> bool:
+        """Whether all samples of a step that ended then have come, as far as one can know."""
+        soon_s = ended_s + _ARRIVAL_S
+        heard_s = next((arrival.begins_s for arrival in self._since(soon_s) if arrival.time_s >= soon_s), math.inf)
+        return max(heard_s, soon_s) + _PIECES_S <= now_s
+
+    def _since(self, time_s: float) -> list[_Arrival]:
+        """The arrivals from the last one before a time on."""
+        known = list(self._arrivals)
+        return known[max(bisect(known, time_s, key=lambda arrival: arrival.time_s) - 1, 0) :]
 
     def between(self, executed: ExecutedStep, limits: InterlockLimits) -> str:
         """A sentence where a step lacks samples: too many are missing, fewer or more came than the unit's rate makes in
         its time, the IMU restarted, or its gyro shows another angle than the table turned."""
-        known, began_s, ended_s = list(self._arrivals), executed.began_s, executed.ended_s
+        began_s, ended_s = executed.began_s, executed.ended_s
+        known = self._since(min(began_s, ended_s - _WINDOW_S))
         times_s = [arrival.time_s for arrival in known]
         first, last = (known[max(bisect(times_s, time_s) - 1, 0)] for time_s in (began_s, ended_s))
         if last.restarts > first.restarts:
@@ -98,9 +113,17 @@ class SampleLosses:
             return f"{lost} of {lasted_s * self._sample_rate_hz:.0f} samples are lost"
         # A longer time shows smaller errors of the rate; it begins after the last restart.
         since_s = next(arrival.time_s for arrival in known if arrival.restarts == last.restarts)
-        for begins_s in (began_s, min(began_s, ended_s - _WINDOW_S)):
-            if text := self._miscounted(known, times_s, max(begins_s, since_s), ended_s, limits.latest_s):
-                return text
+        for longest_s in (lasted_s, max(lasted_s, _WINDOW_S)):
+            # From the last arrival before to the first after, or to the end where nothing came any more.
+            before = known[max(bisect(times_s, max(ended_s - longest_s, since_s)) - 1, 0)]
+            place = bisect_left(times_s, ended_s)
+            after, last_s = (known[place], times_s[place]) if place < len(known) else (known[-1], ended_s)
+            received, span_s = after.received - before.received, last_s - before.time_s
+            count = received + after.missing - before.missing
+            late_s = count / self._sample_rate_hz - span_s
+            if not -_RATE_OFF * span_s - _SLACK_S <= late_s <= _RATE_OFF * span_s + limits.latest_s:
+                rate = f"{count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
+                return f"the IMU sent {received} samples in {span_s:.1f} s: {rate}"
         gyros, turned_deg = self._gyros, executed.turned_deg
         if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG:
             return ""
@@ -111,42 +134,3 @@ class SampleLosses:
         if abs(shown_deg - turned_deg) > allowed_deg:
             return f"the IMU's gyros measured {shown_deg:.0f} deg in total, but the table turned {turned_deg:.0f}"
         return ""
-
-    def _miscounted(
-        self, known: list[_Arrival], times_s: list[float], begins_s: float, ends_s: float, latest_s: float
-    ) -> str:
-        """A sentence where other samples came than the unit's rate makes, from the last arrival before `begins_s` to
-        the first after `ends_s`, or to the end where nothing came any more."""
-        first = known[max(bisect(times_s, begins_s) - 1, 0)]
-        place = bisect_left(times_s, ends_s)
-        last, last_s = (known[place], times_s[place]) if place < len(known) else (known[-1], ends_s)
-        received, span_s = last.received - first.received, last_s - first.time_s
-        count = received + last.missing - first.missing
-        came_s = count / self._sample_rate_hz
-        if (1.0 - _RATE_OFF) * span_s - _SLACK_S <= came_s <= (1.0 + _RATE_OFF) * span_s + latest_s:
-            return ""
-        rate = f"{count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
-        return f"the IMU sent {received} samples in {span_s:.1f} s: {rate}"
-
-
-class UnitControl:
-    """One unit: configured here, started and listened to by the runner."""
-
-    def __init__(self, name: str, stream: ImuStream, clock: Clock) -> None:
-        self.name, self.stream, self._clock = name, stream, clock
-        self.settings = stream.configure()
-        self.losses: SampleLosses | None = None
-        """None until its samples are awaited: it sends none while the axes search for their references."""
-
-    def listen(self, gyros: GyroErrors | None) -> None:
-        """Count its samples from here on."""
-        rate_hz = self.settings.sample_rate_hz
-        self.losses = SampleLosses(self.stream.decoder(), rate_hz, gyros, self._clock.now())
-
-    def carry_bytes(self, journal: Journal) -> None:
-        """Write raw bytes to the journal first, then count the samples."""
-        data, time_s = self.stream.read_bytes(_READS_S)
-        if data:
-            journal.bytes_of(self.name, time_s, data, received=True)
-            if self.losses is not None:
-                self.losses.push(data, time_s)

@@ -15,13 +15,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
-from gradcal_jax.information.figures import correlation_times, noise_sizes, rescaled
-from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
+from gradcal_jax.information.figures import installation_figures, noise_figures, with_ratios
 from gradcal_jax.information.imu_rows import segments_of
+from gradcal_jax.information.plan_information import plan_information
+from gradcal_jax.information.residual import Residual, residual_of
 from gradcal_jax.information.unseen import answers_of, drifting_terms, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import ImuModel, InstallationTerm, Term
-from gradcal_jax.model.build import BuiltImu, build_imu, plan_information, plan_schedule, unweighted_estimator
+from gradcal_jax.model import BSpline, ImuModel, Map, Term
+from gradcal_jax.model.build import BuiltImu, build_imu, plan_schedule, unweighted_estimator
 from gradcal_jax.motion import Schedule, TableMotion
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
@@ -56,15 +57,17 @@ class Differentiable:
     or one for each such error or axis, `(k,)`, where zero stays zero; of each move of the plan's cycle, `(m,)`; of each
     stretch of the chamber's programme, `(s,)`, with the step (K) at its beginning. Changed times must leave room for
     the moves; rests that fill a stretch follow. In a plan of many long cycles, every cycle must begin at the same pose:
-    there the turns of each axis should sum to whole ones.
+    there the turns of each axis should sum to whole ones. Where bins over rate or temperature jump, the figures that
+    move the plan across their edges have no slope here, and are left out.
     """
 
     quantities: dict[str, np.ndarray]
+    own: dict[str, np.ndarray]
     built: BuiltImu
     _schedule: Schedule
     _moves: np.ndarray
     _terms: list[tuple[int, Term]]
-    _required: dict[str, RequiredQuantity]
+    _required: dict[str, Residual]
 
     __repr__ = summary
 
@@ -72,11 +75,21 @@ class Differentiable:
         """Residuals in the units of `predict`, by requirement: the statistic that its verdict judges, with what the
         spec names. Quantities that are absent have the spec's values.
 
-        Errors: `ValueError` for a name that the spec does not have.
+        Errors: `ValueError` for a name that the spec does not have, or that has no slope.
         """
-        if unknown := set(quantities) - set(self.quantities):
-            raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
-        figures: dict[str, Any] = {**self.quantities, **quantities}
+        unknown = [name for name in quantities if name not in self.quantities]
+        if unknown and unknown[0] in self.own:
+            raise ValueError(
+                f"{unknown[0]!r} moves the plan across the edges of bins, where it has no slope: give the map a "
+                "polynomial or a spline in place of bins"
+            )
+        if unknown:
+            raise ValueError(f"the spec has no {unknown[0]!r}: it has {', '.join(self.quantities)}")
+        return self.at(quantities)
+
+    def at(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
+        """The same for any figures of `own`, as far as the plan keeps its places between the edges of bins."""
+        figures: dict[str, Any] = {**self.own, **quantities}
         schedule, model = self._planned(figures), self._sensed(figures)
         xp = namespace(*figures.values())
         if xp is jnp:
@@ -89,7 +102,7 @@ class Differentiable:
         root, results = info.root(), dict[str, Any]()
         unseen = unseen_columns(self.built, answers_of(self.built, columns if self._terms else None))
         for name, of in self._required.items():
-            value = of.statistic(of.requirement.statistic, unseen)(root)
+            value = of._replace(unseen=tuple(unseen.values()))(root)
             results[name] = xp.asarray(value * UNIT_OF[of.requirement.quantity][1])
         return results
 
@@ -108,18 +121,15 @@ class Differentiable:
         return schedule
 
     def _sensed(self, figures: Mapping[str, Any]) -> ImuModel:
-        def factor(name: str) -> Any:
-            if name not in figures:
-                return 1.0
-            own = self.quantities[name]
-            return namespace(figures[name]).where(own != 0.0, figures[name] / np.where(own != 0.0, own, 1.0), 1.0)
-
-        model = rescaled(self.built, factor)
-        installation = [replace(t, stds=figures[name]) for name, t in _installed(model).items()]
+        places, ratios = noise_figures(self.built) | installation_figures(self.built.model), dict[str, Any]()
+        for name in places:
+            own = self.own[name]
+            ratios[name] = namespace(figures[name]).where(own != 0.0, figures[name] / np.where(own, own, 1.0), 1.0)
+        model = with_ratios(self.built.model, places, ratios)
         every = model.encoder.every
         if READING_INTERVALS in figures:
             every = put(every, np.flatnonzero(np.isfinite(every)), figures[READING_INTERVALS])
-        return replace(model, installation=tuple(installation), encoder=replace(model.encoder, every=every))
+        return replace(model, encoder=replace(model.encoder, every=every))
 
 
 def differentiable(spec: Spec) -> Differentiable:
@@ -139,8 +149,19 @@ def differentiable(spec: Spec) -> Differentiable:
     built, schedule = build_imu(spec), plan_schedule(spec)
     moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
     built = built._replace(motion=_on_own_nodes(built.motion, schedule))
-    required = {requirement.name: quantity_of(built, requirement) for requirement in spec.requirement}
-    return Differentiable(_figures(built, schedule, moves), built, schedule, moves, drifting_terms(built), required)
+    required = {requirement.name: residual_of(built, requirement) for requirement in spec.requirement}
+    own, moving = _figures(built, schedule, moves), _across_edges(built.model)
+    quantities = {name: value for name, value in own.items() if name not in moving}
+    return Differentiable(quantities, own, built, schedule, moves, drifting_terms(built), required)
+
+
+def _across_edges(model: ImuModel) -> set[str]:
+    """The figures that move a plan across the edges of bins."""
+    maps = [term for term in model.terms if isinstance(term, Map)]
+    jumps = lambda basis: isinstance(basis, BSpline) and basis.degree == 0 and bool(basis.breaks)  # noqa: E731
+    if any(jumps(of.temperature) for of in maps):
+        return {*_PLAN, LAG}
+    return {PEAK_RATES} if any(jumps(of.rate) for of in maps) else set()
 
 
 def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
@@ -159,15 +180,10 @@ def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
     return replace(motion, kind=np.reshape(kind, -1), example=example, nodes=motion.nodes[motion.kind[example]])
 
 
-def _installed(model: ImuModel) -> dict[str, InstallationTerm]:
-    """The installation's terms by the name of their first parameter."""
-    return {term.names()[0].replace("_", " "): term for term in model.installation}
-
-
 def _figures(built: BuiltImu, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
     """The spec's own quantities."""
-    figures: dict[str, Any] = noise_sizes(built) | correlation_times(built)
-    figures |= {name: term.stds for name, term in _installed(built.model).items()}
+    noise = noise_figures(built) | installation_figures(built.model)
+    figures: dict[str, Any] = {name: of.value for name, of in noise.items()}
     every = np.asarray(built.model.encoder.every)
     if np.any(np.isfinite(every)):
         figures[READING_INTERVALS] = every[np.isfinite(every)]

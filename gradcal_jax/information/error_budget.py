@@ -6,19 +6,19 @@ of K counts for nothing) the shares `∂ ln s / ∂ ln σ` follow. With those of
 homogeneous in all standard deviations together.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.information import NoiseSteps, Posterior, estimator_of_means, imu_system, noise_parts, weights
-from gradcal_jax.information.figures import noise_sizes, rescaled
+from gradcal_jax.information import NoiseSteps, imu_system, noise_parts, weights
+from gradcal_jax.information.figures import CORRELATION_TIME, Figure, noise_figures, with_ratios
 from gradcal_jax.information.gears import rows_of_gears
-from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.information.plan_information import estimator_of_means
 from gradcal_jax.information.posterior import noise_of_sums
+from gradcal_jax.information.residual import residual_map, residual_of
 from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
-from gradcal_jax.model import Discrepancy
 from gradcal_jax.model.build import BuiltImu, unweighted_estimator
 from gradcal_jax.spec.requirement import MisalignmentRequirement, Requirement
 
@@ -39,16 +39,16 @@ _ROUNDING = 5e-3
 
 
 class ErrorBudget:
-    """The error sources of a plan: by name the part of each in the covariance; `shares` of a requirement."""
+    """The error sources of a plan: by name the part of each in the covariance of noise and priors."""
 
-    def __init__(self, built: BuiltImu, known: Posterior) -> None:
-        self.built, self.known = built, known
+    def __init__(self, budget: CountedPosteriors) -> None:
+        self.budget, self.built, self.known = budget, budget.built, budget.fit
         self.parts: dict[str, Float[np.ndarray, "p p"]] = {}
-        motion, model, nodes = built.motion, built.model, built.body_nodes()
+        built, motion, model, nodes = self.built, self.built.motion, self.built.model, self.built.body_nodes()
         named, common = rows_of_gears(motion, model, nodes, built.gears)
         steps, columns = imu_system(motion, model, nodes, common=common)
         errors, columns = np.split(np.asarray(columns), [len(named)], axis=1)
-        own, covariance = model.calibrated, known.spread @ known.spread.T
+        own, covariance = model.calibrated, self.known.spread @ self.known.spread.T
         stds = np.concatenate([np.zeros(0), *(np.asarray(term.stds) for term in model.installation)])
         if unweighted_estimator(built.spec):
             estimator = estimator_of_means(motion, model, steps, columns)
@@ -59,16 +59,14 @@ class ErrorBudget:
             for name, of_gear in zip(named, errors.T, strict=True):
                 self._add(name, gain.T @ of_gear[:, None])
             of_installation = covariance[:, own:] / stds
-            for c in model.channels:
-                for term in c.terms:
-                    if isinstance(term, Discrepancy):
-                        where = model.where(c.kind, c.axis, term.name)
-                        self._add(DISCREPANCY, covariance[:, where] @ np.asarray(term.prior_rows()).T)
+            hidden = model.discrepancy_stds
+            if np.any(hidden):
+                self._add(DISCREPANCY, covariance[:, hidden > 0.0] / hidden[hidden > 0.0])
         for name, column in zip(model.names()[own:], of_installation.T, strict=True):
             source = next(source for begin, source in _INSTALLATION.items() if name.startswith(begin))
             self._add(source, column[:, None])
-        sources = _active_sources(built)
-        models = {name: rescaled(built, lambda of, name=name: float(of == name or ":" in of)) for name in sources}
+        figures = _active_sources(built)
+        models = {name: with_ratios(model, figures, {of: float(of == name) for of in figures}) for name in figures}
         parts = noise_parts(motion, models, nodes, steps) if models else {}
         for name, part in zip(parts, noise_of_sums(steps, gain, list(parts.values())), strict=True):
             self.parts[name] = self.parts.get(name, 0.0) + part
@@ -76,26 +74,44 @@ class ErrorBudget:
     def _add(self, name: str, columns: Float[np.ndarray, "p k"]) -> None:
         self.parts[name] = self.parts.get(name, 0.0) + columns @ columns.T
 
-    def shares(self, requirement: Requirement) -> dict[str, float] | None:
-        """The share of every source in a requirement's statistic, the largest first; None where the plan cannot observe
-        it. The rest after all sources is that of the priors."""
-        quantity = quantity_of(self.built, requirement)
-        if not quantity.residual(self.known).statistic():
+    def of_fit(self, requirement: Requirement) -> dict[str, float] | None:
+        """The share of every source in what noise and priors leave of a requirement's statistic; None where the plan
+        cannot observe it. The rest after all sources is that of the priors."""
+        root, of = self.known.spread, residual_of(self.built, requirement)
+        if not np.isfinite(of.map(self.known).statistic()):
             return None
-        root, of = self.known.spread, quantity.statistic(requirement.statistic, {})
         variances = [element.variance(root) + of.added for element in of.elements]
         changes = {name: [e.part(part, root) for e in of.elements] for name, part in self.parts.items()}
         if DISCREPANCY in changes:
             changes[DISCREPANCY] = [a + e.beyond for a, e in zip(changes[DISCREPANCY], of.elements, strict=True)]
-        if quantity.beside:
+        if of.added:
             name = "mounting" if isinstance(requirement, MisalignmentRequirement) else "bias from dT/dt"
             before = changes.get(name, [0.0] * len(variances))
             changes[name] = [np.full(v.shape, of.added) + b for v, b in zip(variances, before, strict=True)]
-        budget = {name: of.slope(variances, [2.0 * c for c in change]) for name, change in changes.items()}
-        rest = 1.0 - sum(budget.values())
-        if abs(rest) > _ROUNDING:
-            budget[PRIOR] = rest
-        return dict(sorted(budget.items(), key=lambda item: -item[1]))
+        shares = {name: of.slope(variances, [2.0 * c for c in change]) for name, change in changes.items()}
+        rest = 1.0 - sum(shares.values())
+        return shares | ({PRIOR: rest} if abs(rest) > _ROUNDING else {})
+
+    def shares(self, requirement: Requirement, run: str) -> dict[str, float] | None:
+        """The share of all errors in the variance of a requirement's statistic in "this run" or "any run", the largest
+        first: of noise and priors, and of what no residual shows. They add up to one. None where it is not observable.
+        """
+        of_fit = self.of_fit(requirement)
+        if of_fit is None:
+            return None
+        columns = {n: c for n, c in self.budget.columns.items() if run == "any run" or n != TURN_ON}
+
+        def variance(names: Iterable[str]) -> float:
+            known = widened(self.known, {name: columns[name] for name in names})
+            return residual_map(self.built, known, requirement).statistic() ** 2
+
+        total = variance(columns)
+        unseen = {name: 1.0 - variance(columns.keys() - {name}) / total for name in columns} if total else {}
+        fit = variance(()) / total if total else 1.0
+        shares, whole = {name: share * fit for name, share in of_fit.items()}, fit + sum(unseen.values())
+        for name, share in unseen.items():
+            shares[name] = shares.get(name, 0.0) + share
+        return {name: share / whole for name, share in sorted(shares.items(), key=lambda item: -item[1])}
 
 
 def _best_gain(
@@ -109,13 +125,14 @@ def _best_gain(
     return of_columns - of_errors @ np.linalg.solve(common, errors.T @ of_columns)
 
 
-def _active_sources(built: BuiltImu) -> list[str]:
-    """Names of the noise sources that are not zero and act on this plan."""
+def _active_sources(built: BuiltImu) -> dict[str, Figure]:
+    """The noise sources that are not zero and act on this plan."""
     line = built.motion.line
     unread = {"reading noise", "standstill offset", "timing error"} if line.rates else {"rate accuracy"}
     if built.model.encoder.held or not len(line.moving_pieces):
         unread.add("timing error")
-    return [name for name in noise_sizes(built) if name not in unread]
+    figures = noise_figures(built).items()
+    return {n: of for n, of in figures if n not in unread and not n.startswith(CORRELATION_TIME)}
 
 
 def limited_by(shares: Mapping[str, float] | None, axis: str | None = None) -> str | None:
@@ -126,19 +143,3 @@ def limited_by(shares: Mapping[str, float] | None, axis: str | None = None) -> s
     largest = [(name, share) for name, share in shares.items() if share >= 0.1] or list(shares.items())[:1]
     words = ", ".join(f"{name} {share:.0%}" for name, share in largest)
     return words if where is None else f"{where}: {words}"
-
-
-def shares_of_variance(
-    budget: CountedPosteriors, run: str, statistic_of: Callable[[Posterior], float]
-) -> tuple[float, dict[str, float]]:
-    """The share of noise and priors in the variance of a statistic, and those of what no residual shows, by name; they
-    add up to one."""
-    columns = {n: c for n, c in budget.columns.items() if run == "any run" or n != TURN_ON}
-    total = statistic_of(widened(budget.fit, columns)) ** 2
-    if not (np.isfinite(total) and total > 0.0):
-        return 1.0, {}
-    without = {n: statistic_of(widened(budget.fit, {m: c for m, c in columns.items() if m != n})) for n in columns}
-    parts = {name: 1.0 - value**2 / total for name, value in without.items()}
-    of_fit = statistic_of(budget.fit) ** 2 / total
-    whole = of_fit + sum(parts.values())
-    return of_fit / whole, {name: part / whole for name, part in parts.items()}

@@ -1,12 +1,13 @@
-"""Figures of a unit's noise by the name of their error source, and the model with other ones."""
+"""Figures of an IMU's errors by the name of their source, and the model with other ones."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, Final
+from collections.abc import Mapping
+from functools import reduce
+from typing import Any, Final, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
-from gradcal_jax.arrays import namespace, put
+from gradcal_jax.arrays import put
 from gradcal_jax.model import ChannelKind, ImuModel
 from gradcal_jax.model.build import BuiltImu
 
@@ -15,61 +16,60 @@ _WHITE: Final[dict[ChannelKind, str]] = {"gyro": "angle random walk", "accelerom
 _ENCODER: Final = {
     "rate accuracy": "rate", "reading noise": "reading", "standstill offset": "offset", "timing error": "timing",
 }  # fmt: skip
-CORRELATION_TIME: Final = "correlation time: {}"
+CORRELATION_TIME: Final = "correlation time: "
+Path = tuple[str | int, ...]
 
 
-def noise_sizes(built: BuiltImu) -> dict[str, np.ndarray]:
-    """The standard deviation of every source of noise that is not zero, SI: `()`, or `(k,)` for each process or
-    axis."""
-    model, sizes = built.model, dict[str, Any]()
-    for c in model.channels:
-        sizes.setdefault(_WHITE[c.kind], c.angle_random_walk)
-    sizes |= {name: getattr(model.encoder, field) for name, field in _ENCODER.items()}
-    for name, (initial, driving, _) in _processes(built).items():
-        sizes[name] = np.where(initial == 0.0, driving, initial)
-    return {name: np.asarray(size, dtype=float) for name, size in sizes.items() if np.any(size)}
+class Figure(NamedTuple):
+    """The `value` of a figure, SI, and its `places` in a model: the path of an array, the indices there, and by which
+    power of the figure the numbers there change."""
+
+    value: np.ndarray
+    places: tuple[tuple[Path, Any, float], ...]
 
 
-def correlation_times(built: BuiltImu) -> dict[str, np.ndarray]:
-    """The correlation times (s) of sources whose processes all have one."""
+def noise_figures(built: BuiltImu) -> dict[str, Figure]:
+    """The standard deviation of every source of noise that is not zero, `()`, or `(k,)` for each process or axis; and
+    the correlation times (s) of sources whose processes all have one."""
+    figures: dict[str, Figure] = {}
+
+    def add(name: str, value: Any, *places: tuple[Path, Any, float]) -> None:
+        if np.any(value):
+            before = figures[name].places if name in figures else ()
+            figures[name] = Figure(np.asarray(value, dtype=float), (*before, *places))
+
+    for k, c in enumerate(built.model.channels):
+        add(_WHITE[c.kind], c.angle_random_walk, (("channels", k, "angle_random_walk"), ..., 1.0))
+        initial, driving, decay = (("channels", k, "processes", of) for of in ("initial_std", "diffusion", "decay"))
+        for process, members in built.sources[c.kind].items():
+            name, at = process if c.kind == "gyro" else f"accelerometer {process}", np.array(members)
+            start, diffusion, rates = (np.asarray(_at(built.model, of))[at] for of in (initial, driving, decay))
+            add(name, np.where(start == 0.0, diffusion, start), (initial, at, 1.0), (driving, at, 1.0))
+            if np.all(rates > 0.0) and np.any(start):
+                add(CORRELATION_TIME + name, 1.0 / rates, (decay, at, -1.0), (driving, at, -0.5))
+    for name, field in _ENCODER.items():
+        add(name, getattr(built.model.encoder, field), (("encoder", field), ..., 1.0))
+    return figures
+
+
+def installation_figures(model: ImuModel) -> dict[str, Figure]:
+    """The standard deviations of the installation's errors, by the name of the first parameter of their term."""
+    paths = [("installation", k, "stds") for k in range(len(model.installation))]
     return {
-        CORRELATION_TIME.format(name): 1.0 / decay
-        for name, (initial, _, decay) in _processes(built).items()
-        if np.all(decay > 0.0) and np.any(initial)
+        term.names()[0].replace("_", " "): Figure(np.asarray(term.stds), ((path, ..., 1.0),))
+        for term, path in zip(model.installation, paths, strict=True)
     }
 
 
-def _processes(built: BuiltImu) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Initial standard deviation, diffusion and decay of the processes of every source, `(k,)` each."""
-    found = {}
-    for kind, sources in built.sources.items():
-        own = next(c.processes for c in built.model.channels if c.kind == kind)
-        for name, members in sources.items():
-            numbers = (np.asarray(of)[list(members)] for of in (own.initial_std, own.diffusion, own.decay))
-            found[_source(kind, name)] = tuple(numbers)
-    return found
+def with_ratios(model: ImuModel, figures: Mapping[str, Figure], ratios: Mapping[str, Any]) -> ImuModel:
+    """The model with figures multiplied by `ratios`."""
+    changed: dict[Path, Any] = {}
+    for name, ratio in ratios.items():
+        for path, at, power in figures[name].places:
+            number = changed[path] if path in changed else np.asarray(_at(model, path))
+            changed[path] = put(number, at, number[at] * ratio**power)
+    return eqx.tree_at(lambda m: [_at(m, path) for path in changed], model, list(changed.values()))
 
 
-def _source(kind: ChannelKind, process: str) -> str:
-    """The name of a process of one kind of channel as an error source."""
-    return process if kind == "gyro" else f"accelerometer {process}"
-
-
-def rescaled(built: BuiltImu, factor: Callable[[str], Any]) -> ImuModel:
-    """The unit's model with the noise of every source, and every correlation time, multiplied by `factor(name)`."""
-
-    def scaled(number: Any, name: str) -> Any:
-        product = number * factor(name)
-        return namespace(product).asarray(product)
-
-    model, channels = built.model, []
-    for c in model.channels:
-        p, sizes, times = c.processes, np.ones(c.processes.count), np.ones(c.processes.count)
-        for name, members in built.sources[c.kind].items():
-            source, at = _source(c.kind, name), np.array(members)
-            sizes, times = put(sizes, at, factor(source)), put(times, at, factor(CORRELATION_TIME.format(source)))
-        driving = p.diffusion * sizes / namespace(times).sqrt(times)
-        p = replace(p, initial_std=p.initial_std * sizes, diffusion=driving, decay=p.decay / times)
-        channels.append(replace(c, angle_random_walk=scaled(c.angle_random_walk, _WHITE[c.kind]), processes=p))
-    changes = {field: scaled(getattr(model.encoder, field), name) for name, field in _ENCODER.items()}
-    return replace(model, channels=tuple(channels), encoder=replace(model.encoder, **changes))
+def _at(model: Any, path: Path) -> Any:
+    return reduce(lambda of, key: of[key] if isinstance(key, int) else getattr(of, key), path, model)

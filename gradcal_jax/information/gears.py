@@ -6,29 +6,13 @@ from typing import Final
 import numpy as np
 
 from gradcal_jax.arrays import AnyArray, namespace, placed
-from gradcal_jax.information import encoder_rows, rows_of_angles, segments_of
-from gradcal_jax.information.imu_rows import Segments
+from gradcal_jax.information.imu_rows import Segments, encoder_rows, rows_of_angles, segments_of
 from gradcal_jax.model import BodyNodes, ImuModel
 from gradcal_jax.model.terms import UNTOLD_BEGIN, sides
 from gradcal_jax.motion import TableMotion
-from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.spec_sections import Spec
 
 BACKLASH: Final = "backlash of the table's drive"
 SCALE_OF_ANGLE: Final = "scale of the table's angle"
-
-
-def gears_of(spec: Spec) -> list[tuple[float, float]]:
-    """Standard deviations of scale error and backlash (rad) of every axis, as far as the covariance of readings is to
-    contain them; empty: none. Readings along the only axis of a table take a scale error for one of the gyro's: there
-    it counts instead, and so does a typical one of any axis."""
-    table = spec.rig.table
-    if table.by_gravity or isinstance(spec.plan, StandardPlan):
-        return []
-    angles = [axis.angle for axis in table.axis]
-    scaled = not spec.is_one_axis and all(angle.scale_error is not None for angle in angles)
-    sizes = [(float(a.scale_error or 0.0) * scaled, float(a.backlash or 0.0)) for a in angles]
-    return sizes if np.any(sizes) else []
 
 
 def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> list[tuple[str, AnyArray]]:

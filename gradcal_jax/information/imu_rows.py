@@ -24,25 +24,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
 from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
-from gradcal_jax.information.posterior import (
-    LeastSquares,
-    Posterior,
-    SquareRootInformation,
-    least_squares_of_means,
-    noise_of_sums,
-    posterior,
-    spread_of,
-    square_root,
-)
-from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten, whitened_factor
-from gradcal_jax.model import BodyGroup, BodyNodes, ImuModel
-from gradcal_jax.model.terms import Term, block_diagonal
+from gradcal_jax.model import BodyNodes, ImuModel, NodeGroup
+from gradcal_jax.model.terms import Term
 from gradcal_jax.motion import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
@@ -87,36 +75,6 @@ def segments_of(motion: TableMotion, model: ImuModel) -> Segments:
     return Segments(first, last, axis, segment, channel, rows[segment, channel])
 
 
-def imu_information(
-    motion: TableMotion,
-    model: ImuModel,
-    nodes: BodyNodes,
-    beside: Sequence[tuple[int, Term]] = (),
-    common: AnyArray | None = None,
-    at: Segments | None = None,
-) -> tuple[SquareRootInformation, Float[AnyArray, "p k"]]:
-    """The information of a motion's rows and of the priors about the parameters of the unit and its installation; and
-    the estimate's answers to further errors: by how much it is off for one unit of each of the terms `beside` (number
-    of a channel, and a term of one parameter), which it does not know. With a the whitened column of one, `v = C Φᵀa`.
-    `common` `(R, k)`: by how much unknown errors of one standard deviation change the rows. `at`: the segments, where
-    they are traced. Errors: `ValueError` in single precision."""
-    at = segments_of(motion, model) if at is None else at
-    further = rows_of_terms(model, nodes, at, beside)
-    steps, columns = imu_system(motion, model, nodes, at, common, further)
-    if columns.dtype != np.float64:
-        raise ValueError(SINGLE_PRECISION)
-    count = 0 if common is None else common.shape[1]
-    below = block_diagonal([np.eye(count), model.prior_rows()])
-    if namespace(steps, columns, below) is np:
-        white, p = whiten(steps, columns), below.shape[1]
-        whole, product = square_root(np.concatenate([white[:, :p], below])), white[:, :p].T @ white[:, p:]
-        spread = posterior(whole).spread
-        return whole.without(count), (spread @ (spread.T @ product))[count:]
-    *of, product = whitened_factor(steps, columns, jnp.asarray(below))
-    whole = SquareRootInformation(*of)
-    return whole.without(count), (whole.covariance() @ product)[count:] if beside else product[count:]
-
-
 def rows_of_terms(
     model: ImuModel, nodes: BodyNodes, at: Segments, terms: Sequence[tuple[int, Term]]
 ) -> Float[AnyArray, "R k"]:
@@ -124,30 +82,9 @@ def rows_of_terms(
     columns: list[Any] = [((slice(None), slice(0, 0)), np.zeros((len(at.row_segment), 0)))]
     for k, (number, term) in enumerate(terms):
         channel, rows = model.channels[number], np.flatnonzero(at.row_channel == number)
-        of_pieces = term.columns(nodes.channel(channel.kind, channel.axis))
+        of_pieces = term.columns(nodes.sensed_by(channel.kind, channel.axis))
         columns.append(((rows, slice(k, k + 1)), at.sums(of_pieces)[at.row_segment[rows]]))
     return placed((len(at.row_segment), len(terms)), *columns)
-
-
-def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Posterior:
-    """Covariance of ordinary least squares on the mean errors of all points of a standard plan. The installation's
-    errors are noise: nothing is known of them but their priors, which such an estimate does not use."""
-    steps, columns = imu_system(motion, model, nodes)
-    own, estimator = model.calibrated, estimator_of_means(motion, model, steps, columns)
-    stds = [term.stds for term in model.installation]
-    shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])
-    known = spread_of(estimator, noise_of_sums(steps, estimator.weights, [steps])[0] + shared @ shared.T)
-    beyond = [(0, model.size - own), (0, 0)]
-    return Posterior(np.pad(known.spread, beyond), np.pad(known.hidden, beyond))
-
-
-def estimator_of_means(
-    motion: TableMotion, model: ImuModel, steps: NoiseSteps, columns: Float[AnyArray, "R p"]
-) -> LeastSquares:
-    """Ordinary least squares of the calibrated parameters on the mean errors of all points of a standard plan."""
-    at, row = segments_of(motion, model), row_of_steps(motion, model)
-    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
-    return least_squares_of_means(columns[:, : model.calibrated], np.asarray(steps.used), duration)
 
 
 def imu_system(
@@ -222,8 +159,8 @@ def _joint_steps(
     xp = namespace(motion, model, nodes)
     line, channels = motion.line, len(model.channels)
     m = sum(c.processes.count for c in model.channels)
-    errors = _encoder_errors(motion, model, at)
-    n = channels + m + len(errors.initial)
+    of_encoders, from_encoders, first_errors = _encoder_errors(motion, model, at)
+    n = channels + m + len(first_errors)
     # One step for each segment, or for each piece.
     by_pieces = _by_pieces(model)
     duration = line.duration if by_pieces else at.sums(line.duration)
@@ -272,9 +209,9 @@ def _joint_steps(
     if by_pieces:
         pairs = (at.last[:, None, None], states[:, None], states[None])
     # Between the ends of segments the errors stay as they are.
-    transition += [((everything, states, states), 1.0), (pairs, errors.transition)]
-    covariance.append((pairs, errors.covariance))
-    initial.append(((states[:, None], states[None]), errors.initial))
+    transition += [((everything, states, states), 1.0), (pairs, of_encoders)]
+    covariance.append((pairs, from_encoders))
+    initial.append(((states[:, None], states[None]), first_errors))
     # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
     fresh = np.flatnonzero(np.diff(source, prepend=-1))
@@ -303,24 +240,17 @@ def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
     return source[order], row[order]
 
 
-class _EncoderErrors(NamedTuple):
-    """The step of the encoders' errors at the end of every segment, `e` states: `now` of every axis, then `before`,
-    then the offset of its standstill; a held rate has the first alone, a table without offsets no third."""
-
-    transition: AnyArray
-    covariance: AnyArray
-    initial: AnyArray
-
-
-def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _EncoderErrors:
-    """The encoders' errors over the segments of a motion."""
+def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Transition, covariance and initial covariance of the `e` states of the encoders' errors, at the end of every
+    segment: `now` of every axis, then `before`, then the offset of its standstill; a held rate has the first alone, a
+    table without offsets no third."""
     line, of, axes = motion.line, model.encoder, motion.geometry.axis_count
     xp, count = namespace(line.duration, of, motion.axis), len(at.first)
     every, now = slice(None), np.arange(axes)
     if line.rates:
         turned = at.sums(xp.where(motion.turns, line.turned()[:, None], 0.0))
         spread = placed((count, axes, axes), ((every, now, now), xp.square(of.rate * turned)))
-        return _EncoderErrors(np.zeros((count, axes, axes)), spread, np.zeros((axes, axes)))
+        return np.zeros((count, axes, axes)), spread, np.zeros((axes, axes))
     moved = xp.where(_moves(motion, at), 1.0, 0.0)
     share = xp.asarray(line.share)[at.last][:, None]
     offset, reading, timing = (of.offset**2)[None], (of.reading**2)[None], (np.zeros(axes) + of.timing)[None]
@@ -348,8 +278,8 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
         covariance += [((every, *at_), both) for at_ in ((now, still), (still, now))]
         initial += [(at_, drawn[0]) for at_ in ((now, still), (still, now), (still, still))]
     size = kinds * axes
-    shapes, parts = ((count, size, size), (count, size, size), (size, size)), (transition, covariance, initial)
-    return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
+    steps = count, size, size
+    return placed(steps, *transition), placed(steps, *covariance), placed((size, size), *initial)
 
 
 def _moves(motion: TableMotion, at: Segments) -> Bool[AnyArray, "S L"]:
@@ -415,7 +345,7 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
     segment = np.searchsorted(at.first, motion.example, side="right") - 1
     began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
 
-    def of_group(g: BodyGroup):
+    def of_group(g: NodeGroup):
         begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
         # The share of the move that is completed interpolates the error between the two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
@@ -430,7 +360,7 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
     # Of the rates and forces along the body's axes those that a channel senses.
     sensed = np.array([c.index for c in model.channels])
     of_sensed = lambda rates: xp.concatenate([rates, xp.zeros(rates.shape)], axis=-1)[..., sensed]  # noqa: E731
-    sums = at.sums(nodes.integrals(of_group, (3, axes, len(sensed)))[nodes.kind])
+    sums = at.sums(nodes.of_kinds(of_group, (3, axes, len(sensed)))[nodes.kind])
     if model.encoder.held and not motion.line.rates:
         own = at.axis[:, None] == np.arange(axes)[None, :]
         along = of_sensed(xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0))

@@ -4,12 +4,15 @@ One rule: a parameter whose posterior standard deviation exceeds `NOT_OBSERVED` 
 named, with what a plan needs to observe it; one of the installation, with the unit's parameters that it limits.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from gradcal_jax.information import Posterior, posterior, square_root
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, ImuModel, OwnTerm
-from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import UNITS_OF_TERMS
+from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, ImuModel, OwnTerm, Term
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.motion import frames
 from gradcal_jax.spec.absent import minutes_of_change
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement
@@ -46,8 +49,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
         *_limited_by_priors(built.model, known),
         *one_way_sentences(built, known),
         *_saturated(built, fastest),
-        *_beyond_temperatures(built),
-        *_beyond_rates(built, fastest),
+        *_beyond_the_plan(built, fastest),
     ]
 
 
@@ -75,31 +77,27 @@ def _stays(model: ImuModel, known: Posterior) -> np.ndarray:
 def unobserved_parameters(model: ImuModel, known: Posterior) -> list[str]:
     """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
     state at the beginning left out."""
-    hidden = set[str]()
+    return [f"{c.name}.{name}" for c, _, name in _unobserved_of(model, known)]
+
+
+def _unobserved_of(model: ImuModel, known: Posterior) -> Iterator[tuple[Channel, Term, str]]:
+    stays = iter(_stays(model, known))
     for c in model.channels:
-        for t in c.terms:
-            if isinstance(t, Discrepancy | OwnTerm):
-                names = t.nuisances if isinstance(t, OwnTerm) else t.names()
-                hidden.update(f"{c.name}.{name}" for name in names)
-    stays = _stays(model, known)[: model.calibrated]
-    return [name for name, same in zip(model.names(), stays, strict=False) if same and name not in hidden]
+        for term in c.terms:
+            nuisances = term.nuisances if isinstance(term, OwnTerm) else []
+            for name, same in zip(term.names(), stays, strict=False):
+                if same and not isinstance(term, Discrepancy) and name not in nuisances:
+                    yield c, term, name
 
 
 def _unobserved(built: BuiltImu, known: Posterior) -> list[str]:
     """Sentences on parameters that nothing observes, or that keep their priors, each with what a plan needs."""
-    groups: dict[str, list[str]] = {}
-    unobserved, more = unobserved_parameters(built.model, known), _BY_GRAVITY if built.spec.rig.table.by_gravity else ""
-    for c in built.model.channels:
-        for term in c.terms:
+    more, groups = _BY_GRAVITY if built.spec.rig.table.by_gravity else "", dict[str, list[str]]()
+    for c, term, name in _unobserved_of(built.model, known):
+        if not isinstance(term, Hysteresis):
             fits = [of for (kind, head), of in _REMEDIES.items() if kind == c.kind and term.name.startswith(head)]
-            names = [] if isinstance(term, Hysteresis) else [f"{c.name}.{name}" for name in term.names()]
-            own = groups.setdefault(fits[0] if fits else "change the plan", [])
-            own += [name for name in names if name in unobserved]
-    return [
-        f"the plan cannot observe {', '.join(names)}: {of}, or state a prior{more}"
-        for of, names in groups.items()
-        if names
-    ]
+            groups.setdefault([*fits, "change the plan"][0], []).append(f"{c.name}.{name}")
+    return [f"the plan cannot observe {', '.join(names)}: {of}, or state a prior{more}" for of, names in groups.items()]
 
 
 def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
@@ -175,35 +173,28 @@ def _saturated(built: BuiltImu, fastest: np.ndarray) -> list[str]:
     ]
 
 
-def _beyond_temperatures(built: BuiltImu) -> list[str]:
-    """Sentences on requirements beyond the temperatures of the plan."""
-    line = built.motion.line
+def _beyond_the_plan(built: BuiltImu, fastest: np.ndarray) -> list[str]:
+    """Sentences on requirements beyond the temperatures of the plan, or beyond the rates along their gyros."""
+    line, beyond = built.motion.line, dict[str, list[str]]()
     both = np.concatenate([ends[~line.gap] for ends in line.ends()])
     low, high = float(np.min(both)), float(np.max(both))
-    beyond: dict[tuple[float, float], list[str]] = {}
-    for r in built.spec.requirement:
-        if r.temperature[0] < low - _SAME_K or r.temperature[1] > high + _SAME_K:
-            beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
-    return [
-        f"{', '.join(names)}: required for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} "
-        "°C: outside this range, the prediction relies on the form of the maps in the spec, which this plan cannot test"
-        for (cold, warm), names in beyond.items()
-    ]
-
-
-def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
-    """Sentences on requirements beyond the rates along their gyros."""
-    sentences: list[str] = []
     gyros = [c.axis for c in built.model.channels if c.kind == "gyro"]
     for r in built.spec.requirement:
+        cold, warm = map(float, r.temperature)
+        if cold < low - _SAME_K or warm > high + _SAME_K:
+            within = f"required for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} °C"
+            beyond.setdefault(within, []).append(f"'{r.name}'")
         if not isinstance(r, GyroScaleFactorRequirement):
             continue
         widest = max(abs(float(rate)) for rate in r.rate)
         slow = [k for k in gyros if r.axis in ("all", "worst", AXIS_NAMES[k]) and widest > fastest[k] * (1.0 + _NEARLY)]
         if slow:
-            sentences.append(
-                f"'{r.name}': required up to {np.degrees(widest):.4g} deg/s, but the plan reaches only "
-                f"{np.degrees(min(fastest[slow])):.4g} deg/s about {', '.join(AXIS_NAMES[k] for k in slow)}: beyond, "
-                "the prediction relies on the form of the map in the spec, which this plan cannot test"
-            )
-    return sentences
+            asked, reached = np.degrees(widest), np.degrees(min(fastest[slow]))
+            within = f"required up to {asked:.4g} deg/s, but the plan reaches only {reached:.4g} deg/s"
+            within += f" about {', '.join(AXIS_NAMES[k] for k in slow)}"
+            beyond.setdefault(within, []).append(f"'{r.name}'")
+    return [
+        f"{', '.join(names)}: {within}: beyond, the prediction relies on the form of the maps in the spec, which this "
+        "plan cannot test"
+        for within, names in beyond.items()
+    ]

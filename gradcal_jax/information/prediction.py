@@ -1,14 +1,14 @@
 """The prediction of a spec, as the contract gradcal-prediction/1."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from gradcal_jax.information import STATISTICS, Posterior
-from gradcal_jax.information.error_budget import ErrorBudget, limited_by, shares_of_variance
-from gradcal_jax.information.imu_residual import imu_residual
+from gradcal_jax.information.error_budget import ErrorBudget, limited_by
+from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.plan_sentences import plan_warnings
+from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.unseen import CountedPosteriors, budget_of_imu
 from gradcal_jax.information.verdicts import (
     UNIT_OF,
@@ -19,7 +19,7 @@ from gradcal_jax.information.verdicts import (
     target_of,
     verdict_of,
 )
-from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike, imu_posterior
+from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike
 from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
@@ -130,27 +130,27 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
 
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
     """The residual and the verdict of one requirement."""
-    left = judged = imu_residual(built, budget.own, requirement)
+    left = judged = residual_map(built, budget.own, requirement)
     more: dict[str, Any] = {}
     if budget.whole is not budget.own:
-        judged = imu_residual(budget.built, budget.whole, requirement)
-        more["with_typical"] = judged.statistic()
+        judged = residual_map(budget.built, budget.whole, requirement)
+        more["with_typical"] = finite(judged.statistic())
     if run_of(requirement) == "any run" and budget.any_run is not budget.whole:
-        judged = imu_residual(budget.built, budget.any_run, requirement)
-        more["another_run"] = judged.statistic()
+        judged = residual_map(budget.built, budget.any_run, requirement)
+        more["another_run"] = finite(judged.statistic())
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     rates = left.rates
-    axis, target, worst = judged.worst_axis(), target_of(requirement), judged.statistic("max")
+    axis, target, worst = judged.worst_axis(), target_of(requirement), finite(judged.statistic("max"))
     return RequirementRow(
         **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic", "axis", "coverage")},
         temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         grid=tuple(requirement.grid),
-        **{n.replace(" ", "_"): left.statistic(n) for n in STATISTICS if n != "mean of max" or by_rate},
+        **{n.replace(" ", "_"): finite(left.statistic(n)) for n in STATISTICS if n != "mean of max" or by_rate},
         **more,
         unit=UNIT_OF[requirement.quantity][0],
         target=target,
         worst=worst,
-        verdict=verdict_of(requirement, judged.finite_statistic),
+        verdict=verdict_of(requirement, judged.statistic),
         rule=decision_rule(requirement) or None,
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if axis is None else f"axis {axis}",
@@ -161,8 +161,8 @@ def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
     plan = judged_plan(spec)
-    shares = {r.name: of for r, of in zip(plan.built.spec.requirement, _shares(plan), strict=True)}
-    return {str(name): dict(of) for name, of in shares.items() if of is not None}
+    shares = {str(r.name): of for r, of in zip(plan.built.spec.requirement, _shares(plan), strict=True)}
+    return {name: of for name, of in shares.items() if of is not None}
 
 
 def _with_limits(plan: JudgedPlan) -> list[RequirementRow]:
@@ -172,22 +172,8 @@ def _with_limits(plan: JudgedPlan) -> list[RequirementRow]:
     return [row.model_copy(update={"limited_by": said}) for row, said in zip(plan.rows, words, strict=True)]
 
 
-def _shares(plan: JudgedPlan) -> list[Mapping[str, float] | None]:
-    """The shares of all errors in what the verdict on each requirement judges, the largest first; None where it is not
-    observable."""
-    budget, every = plan.budget, list[Mapping[str, float] | None]()
-    sources = ErrorBudget(budget.built, budget.fit) if plan.rows else None
-    for requirement in plan.built.spec.requirement:
-        assert sources is not None
-        of_fit = sources.shares(requirement)
-        if of_fit is None:
-            every.append(None)
-            continue
-        fit, unseen = shares_of_variance(
-            budget, run_of(requirement), lambda of, r=requirement: imu_residual(budget.built, of, r).finite_statistic()
-        )
-        shares = {name: share * fit for name, share in of_fit.items()}
-        for name, share in unseen.items():
-            shares[name] = shares.get(name, 0.0) + share
-        every.append(dict(sorted(shares.items(), key=lambda item: -item[1])))
-    return every
+def _shares(plan: JudgedPlan) -> list[dict[str, float] | None]:
+    """The shares of all errors in what the verdict on each requirement judges; None where it is not observable."""
+    requirements = plan.built.spec.requirement
+    sources = ErrorBudget(plan.budget) if requirements else None
+    return [sources.shares(r, run_of(r)) for r in requirements if sources]

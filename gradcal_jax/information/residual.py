@@ -1,45 +1,82 @@
-"""The residual after calibration: errors on a grid, linear in the parameters, and named statistics of them.
+"""The residual after calibration: errors on a requirement's grid, linear in the parameters, and named statistics.
 
     s(T, ω)² = ψ(T, ω)ᵀ C ψ(T, ω)
 
-for the scale factor (dimensionless) and, without ω, for the bias (rad/s). With a model discrepancy `γ` (prior Γ) of
-functions χ that the calibration does not carry, the error at a point is `ψᵀ(β − β̂) + χᵀγ`; since the estimation
-error is uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
+for a scale factor (dimensionless) and, without ω, for a bias (rad/s) or any other term. With a model discrepancy `γ`
+(prior Γ) of functions χ that the calibration does not carry, the error at a point is `ψᵀ(β − β̂) + χᵀγ`; since the
+estimation error is uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
+
+A `Residual` is a function of a root of the covariance for searches and derivatives; a `ResidualMap` its values.
 """
 
-from typing import Any, Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Inexact, Int
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.model import Channel, ImuModel
+from gradcal_jax.information.verdicts import UNIT_OF, Statistic
+from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, ChannelKind, GradientOfBias, ImuModel, OwnTerm
+from gradcal_jax.model.build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, BuiltImu
+from gradcal_jax.model.nodes import INPUTS
+from gradcal_jax.spec.requirement import (
+    AccelerometerBiasRequirement,
+    GyroBiasRequirement,
+    GyroScaleFactorRequirement,
+    MisalignmentRequirement,
+    Requirement,
+)
+from gradcal_jax.units import DEG_PER_H, PPM, G
 
-Statistic = Literal["mean of max", "max", "mean", "rms"]
 STATISTICS: tuple[Statistic, ...] = ("mean of max", "max", "mean", "rms")
 EXACT = np.asarray(np.inf)
 """Value of `sharpness` for which a smooth statistic equals the statistic."""
+UNITS_OF_TERMS = {
+    "rad/s": ("deg/h", DEG_PER_H),
+    "1": ("ppm", PPM),
+    "rad/K": ("deg/h/(°C/min)", DEG_PER_H / 60.0),
+    "rad/s/K": ("deg/h/K", DEG_PER_H),
+    "1/K": ("ppm/K", PPM),
+    "s/K": ("ppm/(K/min)", PPM / 60.0),
+    "m/s^2/K": ("ug/K", 1e6 / G),
+    "m/s/K": ("ug/(K/min)", 1e6 / G / 60.0),
+    "rad": ("urad", 1e6),
+    "m/s^2": ("ug", 1e6 / G),
+    "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
+    "1/(m/s^2)": ("ug/g^2", 1e6 * G),
+}
+"""For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
 # Imaginary step of a derivative, which is exact to rounding.
 _STEP = 1e-30
+_MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
+# Names of terms by the quantity without its kind of channel: one, or one for each axis.
+_TERMS = {
+    "bias": (BIAS,),
+    "scale_factor": (SCALE_FACTOR,),
+    "misalignment": _MISALIGNMENTS,
+    "g_sensitivity": tuple(G_SENSITIVITY.format(axis) for axis in AXIS_NAMES),
+    "second_order": (SECOND_ORDER,),
+}
 
 
 class GridElement(NamedTuple):
     """Errors of the `g` points of a grid as linear functions `rows` of the parameters `where`; of several states `s` of
     the service the worst counts at every point. `alone`: the discrepancy's part of them, which the calibration does not
-    carry, and `beyond` its prior variance there, which takes the place of its part of `cᵀCc`."""
+    carry (None: nothing), and `beyond` its prior variance there, which takes the place of its part of `cᵀCc`."""
 
     label: str
     where: Int[np.ndarray, " k"]
     rows: Float[np.ndarray, "s g k"]
-    alone: Float[np.ndarray, "g k"]
+    alone: Float[np.ndarray, "g k"] | None
     beyond: Float[np.ndarray, " g"]
 
     def variance(self, root: Float[AnyArray, "p r"]) -> Float[AnyArray, " g"]:
         """The variance on the points, by a root of the covariance of all parameters."""
         own, xp = root[self.where], namespace(root)
-        left = xp.max(xp.sum((self.rows @ own) ** 2, axis=-1), axis=0) + self.beyond
-        return left - xp.sum((self.alone @ own) ** 2, axis=1) if np.any(self.alone) else left
+        left = xp.max(_squares(self.rows @ own), axis=0) + self.beyond
+        return left if self.alone is None else left - _squares(self.alone @ own)
 
     def deviations(self, known: Posterior) -> Float[np.ndarray, " g"]:
         """Standard deviation on the points after a calibration; `inf` where it is unobservable."""
@@ -52,9 +89,14 @@ class GridElement(NamedTuple):
 
     def part(self, covariance: Float[np.ndarray, "p p"], root: Float[np.ndarray, "p r"]) -> Float[np.ndarray, " g"]:
         """What a part of the covariance adds to the variance, in the states that are the worst ones by `root`."""
-        worst = np.argmax(np.sum((self.rows @ root[self.where]) ** 2, axis=-1), axis=0)
+        worst = np.argmax(_squares(self.rows @ root[self.where]), axis=0)
         rows, part = self.rows[worst, np.arange(len(worst))], covariance[np.ix_(self.where, self.where)]
-        return np.sum((rows @ part) * rows, axis=1) - np.sum((self.alone @ part) * self.alone, axis=1)
+        whole = np.sum((rows @ part) * rows, axis=1)
+        return whole if self.alone is None else whole - np.sum((self.alone @ part) * self.alone, axis=1)
+
+
+def _squares(half: Float[AnyArray, "*g r"]) -> Float[AnyArray, "*g"]:
+    return namespace(half).einsum("...r,...r->...", half, half)
 
 
 def grid_element(
@@ -65,7 +107,8 @@ def grid_element(
     where = np.flatnonzero(seen)
     own, stds = rows[:, where], model.discrepancy_stds[where]
     every = own[None] if states is None else own + states[:, :, where]
-    return GridElement(label, where, every, own * (stds > 0.0), own**2 @ stds**2)
+    alone = own * (stds > 0.0) if np.any(stds) else None
+    return GridElement(label, where, every, alone, own**2 @ stds**2)
 
 
 def map_rows(
@@ -78,46 +121,82 @@ def map_rows(
     """The error of a channel's map at points (°C, rad/s; without rates at rest), with its discrepancy, as a function of
     all parameters; zero for a term that the channel does not have."""
     rows, of = np.zeros((len(temperature), model.size)), channel.map(name)
-    if of is None:
-        return rows
     at = temperature, np.zeros(len(temperature)) if rate is None else rate
-    rows[:, model.where(channel.kind, channel.axis, name)] = of.values(*at)
-    if of.beyond is not None:
-        rows[:, model.where(channel.kind, channel.axis, of.beyond.name)] = of.beyond.values(*at)
+    for part in () if of is None else (of, of.beyond):
+        if part is not None:
+            rows[:, model.where(channel.kind, channel.axis, part.name)] = part.values(*at)
     return rows
 
 
-class Residual(NamedTuple):
-    """A requirement's statistic as a function of a root of the covariance of all parameters, in SI: of its elements on
-    a grid of `shape`, with the variance `added` to each. `unseen` `(p, k)`: further columns of the root.
-    `together`: of the elements the root mean square counts, not the worst."""
+class ResidualMap(NamedTuple):
+    """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
+    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the
+    unit are one in SI."""
 
+    requirement: Requirement
+    labels: tuple[str, ...]
+    temperatures: np.ndarray
+    rates: np.ndarray
+    values: np.ndarray
+    unit: str
+    si: float
+
+    def statistic(self, name: Statistic | None = None) -> float:
+        """The requirement's statistic, or the one of that `name`; infinite: not observable. Each element has one over
+        temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
+        each = self._each(name or self.requirement.statistic)
+        return float(np.sqrt(np.mean(each**2)) if self.requirement.axis == "all" else np.max(each))
+
+    def worst_axis(self) -> str | None:
+        """The element with the largest statistic; None where all count together, or for a single one."""
+        if self.requirement.axis == "all" or len(self.labels) < 2:
+            return None
+        return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
+
+    def _each(self, name: Statistic) -> np.ndarray:
+        return np.array([statistic(name, values) for values in self.values])
+
+
+class Residual(NamedTuple):
+    """A requirement's residual as a function of the covariance, in SI: of its `elements` on its grid, with the variance
+    `added` of an independent error that no plan changes. `unseen` `(p, k)`: further columns of a root."""
+
+    requirement: Requirement
+    temperatures: np.ndarray
+    rates: np.ndarray
     elements: tuple[GridElement, ...]
     added: float
-    shape: tuple[int, int]
-    kind: Statistic
-    together: bool
-    unseen: tuple[Float[AnyArray, "p k"], ...]
+    unseen: tuple[Float[AnyArray, "p k"], ...] = ()
 
     def __call__(
         self, root: Float[AnyArray, "p r"], sharpness: Float[AnyArray, ""] | float = EXACT
     ) -> Float[AnyArray, ""] | float:
-        """The statistic: exact for an infinite sharpness, from above otherwise."""
+        """The statistic by a root of the covariance of all parameters: exact for an infinite sharpness, from above
+        otherwise."""
         root = namespace(root, self.unseen).concatenate([root, *self.unseen], axis=1)
         return self.of([element.variance(root) + self.added for element in self.elements], sharpness)
 
     def of(self, variances: list[AnyArray], sharpness: Float[AnyArray, ""] | float = EXACT) -> Any:
         """The statistic by the variances on each element's points."""
-        xp = namespace(*variances)
-        each = [statistic(self.kind, xp.reshape(xp.sqrt(of), self.shape), sharpness) for of in variances]
-        every = xp.stack(each)
-        return xp.sqrt(xp.mean(every**2)) if self.together else largest(every[:, None], sharpness)[0]
+        xp, shape, kind = namespace(*variances), (len(self.temperatures), -1), self.requirement.statistic
+        every = xp.stack([statistic(kind, xp.reshape(xp.sqrt(of), shape), sharpness) for of in variances])
+        together = self.requirement.axis == "all"
+        return xp.sqrt(xp.mean(every**2)) if together else largest(every[:, None], sharpness)[0]
 
     def slope(self, variances: list[np.ndarray], changes: list[np.ndarray]) -> float:
         """The derivative of the statistic's logarithm along changes of the variances (Squire and Trapp, 1998)."""
         moved = [of + 1j * _STEP * by for of, by in zip(variances, changes, strict=True)]
         value = self.of(moved)
         return float(value.imag / value.real) / _STEP
+
+    def map(self, known: Posterior) -> ResidualMap:
+        """Its values for a posterior."""
+        unit, factor = UNIT_OF[self.requirement.quantity]
+        shape = len(self.elements), len(self.temperatures), len(self.rates)
+        deviations = np.reshape([element.deviations(known) for element in self.elements], shape)
+        values = factor * (np.hypot(deviations, self.added**0.5) if self.added else deviations)
+        labels = tuple(element.label for element in self.elements)
+        return ResidualMap(self.requirement, labels, self.temperatures, self.rates, values, unit, factor)
 
 
 def statistic(
@@ -148,3 +227,152 @@ def largest(values: Inexact[AnyArray, "n m"], sharpness: Float[AnyArray, ""] | f
     scale = fixed(peak)
     norm = scale * xp.sum((values / scale[None]) ** k, axis=0) ** (1.0 / k)
     return xp.where(soft, norm, peak)
+
+
+def residual_of(built: BuiltImu, requirement: Requirement, unseen: Sequence[AnyArray] = ()) -> Residual:
+    """A requirement's residual. What no plan changes: the mounting's uncertainty of a misalignment relative to the
+    case, or a sensitivity to dT/dt that is a figure and no parameter of a bias on a slope."""
+    beside, sensor = 0.0, built.spec.sensor
+    if isinstance(requirement, MisalignmentRequirement):
+        if requirement.relative_to == "case" and sensor.frame != "case":
+            beside = float(built.spec.rig.table.mounting[0].accuracy)
+    elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
+        triad = getattr(sensor, _kind_of(requirement))
+        if triad.gradient_sensitivity is None:
+            beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
+    # (A sweep has one model, and computes the grids of its requirements once.)
+    known: dict[Any, Residual] = {} if built.about is not None else vars(built.model).setdefault("_grids", {})
+    if requirement not in known:
+        temperatures, rates = _grid(requirement)
+        elements = tuple(_elements(built, requirement, temperatures, rates))
+        known[requirement] = Residual(requirement, temperatures, rates, elements, 0.0)
+    return known[requirement]._replace(added=beside**2, unseen=tuple(unseen))
+
+
+def residual_map(built: BuiltImu, known: Posterior, requirement: Requirement) -> ResidualMap:
+    """The residual of a requirement for a posterior."""
+    return residual_of(built, requirement).map(known)
+
+
+def _kind_of(requirement: Requirement) -> ChannelKind:
+    quantity = requirement.quantity
+    return "accelerometer" if quantity == "second_order" or quantity.startswith("accelerometer") else "gyro"
+
+
+def _grid(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s)."""
+    cold, warm = map(float, requirement.temperature)
+    temperatures = np.linspace(cold, warm, requirement.grid[0])
+    if not isinstance(requirement, GyroScaleFactorRequirement):
+        return temperatures, np.zeros(1)
+    slow, fast = map(float, requirement.rate)
+    return temperatures, np.linspace(slow, fast, requirement.grid[1])
+
+
+def _elements(
+    built: BuiltImu, requirement: Requirement, temperatures: np.ndarray, rates: np.ndarray
+) -> Iterator[GridElement]:
+    """Each element of a quantity, temperatures first."""
+    model, about, wanted, kind = built.model, built.about, requirement.axis, _kind_of(requirement)
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        for label, rows in internal_misalignments(model, kind, temperatures, about):
+            if wanted in ("all", "worst") or wanted in label.split()[0]:
+                yield grid_element(model, label, rows)
+        return
+    names = _TERMS[requirement.quantity.removeprefix(f"{kind}_")]
+    grid = [of.ravel() for of in np.meshgrid(temperatures, rates, indexing="ij")]
+    for c in model.channels:
+        axis = AXIS_NAMES[c.axis]
+        if c.kind != kind or wanted not in ("all", "worst", axis):
+            continue
+        for k, name in enumerate(names):
+            if names is _MISALIGNMENTS and k == c.axis:
+                continue
+            rows = map_rows(model, c, name, *grid)
+            if about is not None and name in (SCALE_FACTOR, *_MISALIGNMENTS) and _corrected_by_matrix(c, name):
+                across = c.axis if name == SCALE_FACTOR else k
+                left = _left_by_correction(model, (c.kind, c.axis, across), temperatures, about)
+                left = left - _at_rest(model, c, name, temperatures)
+                rows = rows + np.repeat(left, len(rates), axis=0)
+            label = axis + AXIS_NAMES[k] if len(names) > 1 else axis
+            yield grid_element(model, label, rows, _states(model, c, requirement))
+
+
+def _corrected_by_matrix(channel: Channel, name: str) -> bool:
+    """Whether a triad's whole matrix corrects a term: not that of a channel without misalignments."""
+    of = channel.map(name)
+    return of is None or not of.of_own_input or any(map(channel.term, _MISALIGNMENTS))
+
+
+def _states(model: ImuModel, channel: Channel, requirement: Requirement) -> np.ndarray | None:
+    """What the states of the service add at every point, `(s, 1, p)`: after a leg of more than twice its width a play
+    is behind the temperature by its width, between that and its opposite elsewhere, where the error is smaller than at
+    one of both ends. None without a path."""
+    service = getattr(requirement, "service", None)
+    states = ((0.0, 0.0),) if service is None else service()
+    if states == ((0.0, 0.0),):
+        return None
+    own = (f"{INPUTS[channel.kind]} {AXIS_NAMES[channel.axis]}",) if "scale_factor" in requirement.quantity else ()
+    rows = np.zeros((len(states), 1, model.size))
+    for term in channel.terms:
+        place = model.where(channel.kind, channel.axis, term.name).start
+        if isinstance(term, OwnTerm) and term.signals == own:
+            rows[:, 0, place] = [term.in_service(*state) for state in states]
+        elif isinstance(term, GradientOfBias) and not own:
+            rows[:, 0, place] = [slope for _, slope in states]
+    return rows
+
+
+def _at_rest(model: ImuModel, channel: Channel, name: str, temperatures: np.ndarray) -> np.ndarray:
+    """The error of a map at rate zero without its discrepancy, `(n_T, p)`."""
+    return np.where(model.discrepancy_stds > 0.0, 0.0, map_rows(model, channel, name, temperatures))
+
+
+def _left_by_correction(
+    model: ImuModel, element: tuple[ChannelKind, int, int], temperatures: np.ndarray, about: np.ndarray
+) -> np.ndarray:
+    """What a correction by a triad's whole matrix, A = (1 + M)(1 + m) `about` the parameters of an estimate, leaves
+    along i of an input along j (`element`: the kind, i, j), at rate zero: an element of A⁻¹ δA, `(n_T, p)`.
+
+    A plan may tell it better than M or m: products of both, or, without an encoder, what a common rotation of all
+    sensors changes in each M.
+    """
+    kind, i, j = element
+    triad = [model.channel(kind, axis) for axis in range(3)]
+    scale, across = np.ones((len(temperatures), 3)), np.tile(np.eye(3), (len(temperatures), 1, 1))
+    for k, of in enumerate(triad):
+        if of is not None:
+            scale[:, k] += _at_rest(model, of, SCALE_FACTOR, temperatures) @ about
+            for other, term in enumerate(_MISALIGNMENTS):
+                across[:, k, other] += _at_rest(model, of, term, temperatures) @ about
+    inverse = np.linalg.inv(scale[:, :, None] * across)[:, i]
+    rows = np.zeros((len(temperatures), model.size))
+    for k, of in enumerate(triad):
+        if of is not None:
+            by_scale = across[:, k, j, None] * _at_rest(model, of, SCALE_FACTOR, temperatures)
+            changed = by_scale + scale[:, k, None] * _at_rest(model, of, _MISALIGNMENTS[j], temperatures)
+            rows += inverse[:, k, None] * changed
+    return rows
+
+
+def internal_misalignments(
+    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None = None
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
+    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: parameters of an estimate, whose
+    correction leaves them (`_left_by_correction`)."""
+
+    def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
+        channel = model.channel(which, i)
+        if channel is None:
+            return np.zeros((len(temperatures), model.size))
+        if about is not None:
+            return _left_by_correction(model, (which, i, j), temperatures, about)
+        return _at_rest(model, channel, _MISALIGNMENTS[j], temperatures)
+
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        name = AXIS_NAMES[i] + AXIS_NAMES[j]
+        yield name, of(kind, i, j) + of(kind, j, i)
+        if kind == "accelerometer":
+            apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
+            yield f"{name} to the gyros", 0.5 * apart

@@ -12,7 +12,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import Posterior
 from gradcal_jax.information.differentiable import (
     CHAMBER_DURATIONS,
     CHAMBER_SLOPES,
@@ -24,14 +23,13 @@ from gradcal_jax.information.differentiable import (
     Differentiable,
     differentiable,
 )
-from gradcal_jax.information.error_budget import PRIOR, ErrorBudget, shares_of_variance
-from gradcal_jax.information.figures import correlation_times
-from gradcal_jax.information.imu_residual import imu_residual
+from gradcal_jax.information.error_budget import PRIOR, ErrorBudget
+from gradcal_jax.information.figures import CORRELATION_TIME
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.unseen import budget_of_imu
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import Map
-from gradcal_jax.model.build import BuiltImu, imu_posterior
-from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -74,48 +72,40 @@ def sensitivity(spec: Spec) -> Sensitivities:
     spec = expect_spec(spec)
     of = differentiable(spec)
     known = imu_posterior(of.built)
-    hidden = [r.name for r in spec.requirement if imu_residual(of.built, known, r).statistic() is None]
+    hidden = [r.name for r in spec.requirement if not np.isfinite(residual_map(of.built, known, r).statistic())]
     if hidden:
         names = ", ".join(hidden)
         raise ValueError(f"the plan cannot observe {names}, so the sensitivity is not defined: see gradcal check")
-    sources, rows = ErrorBudget(of.built, known), list[Elasticity]()
+    # The elasticity of an error's size is its share in the error budget, as far as the spec names it.
+    sources, rows = ErrorBudget(budget_of_imu(of.built, known, of.built)), list[Elasticity]()
     for r in spec.requirement:
-        rows += [Elasticity(r.name, name, value) for name, value in _of_errors(of.built, known, sources, r).items()]
+        shares = sources.shares(r, "this run") or {}
+        rows += [Elasticity(r.name, name, share) for name, share in shares.items() if name != PRIOR]
     for name, (change, step) in (_of_sensor(of) | _of_plan(of)).items():
         near, far = (_slopes(of, change, h) for h in (0.5 * step, step))
         rows += [Elasticity(r.name, name, near[r.name] + (near[r.name] - far[r.name]) / 3.0) for r in spec.requirement]
     rows.sort(key=lambda row: (row.requirement, -abs(row.percent)))
-    values = of({})
+    values = of.at({})
     shown = {r.name: (float(values[r.name]), UNIT_OF[r.quantity][0]) for r in spec.requirement}
     return Sensitivities(tuple(rows), shown)
 
 
-def _of_errors(built: BuiltImu, known: Posterior, sources: ErrorBudget, requirement: Requirement) -> dict[str, float]:
-    """The elasticity of every error's size: its share in the error budget, with what no residual of a run shows, as far
-    as the spec names it."""
-    fit, unseen = shares_of_variance(
-        budget_of_imu(built, known, built),
-        "this run",
-        lambda of: imu_residual(built, of, requirement).finite_statistic(),
-    )
-    return {n: fit * share for n, share in (sources.shares(requirement) or {}).items() if n != PRIOR} | unseen
-
-
 def _slopes(of: Differentiable, change: Change, step: float) -> dict[str, float]:
     """d ln residual/d ln(factor) by central differences."""
-    more, less = (of(change(np.exp(h))) for h in (step, -step))
+    more, less = (of.at(change(np.exp(h))) for h in (step, -step))
     return {name: float(np.log(more[name] / less[name])) / (2.0 * step) for name in more}
 
 
 def _of_sensor(of: Differentiable) -> dict[str, tuple[Change, float]]:
     """Figures of the sensor that are no sizes of errors: their changes, and the step of the differences."""
-    names = [*correlation_times(of.built), *([LAG] if np.any(of.quantities.get(LAG, 0.0)) else [])]
-    return {name: (lambda factor, name=name: {name: of.quantities[name] * factor}, _STEP) for name in names}
+    names = [name for name in of.own if name.startswith(CORRELATION_TIME)]
+    names += [LAG] if np.any(of.own.get(LAG, 0.0)) else []
+    return {name: (lambda factor, name=name: {name: of.own[name] * factor}, _STEP) for name in names}
 
 
 def _of_plan(of: Differentiable) -> dict[str, tuple[Change, float]]:
     """The plan's figures."""
-    built, own = of.built, of.quantities
+    built, own = of.built, of.own
     line, spec = built.motion.line, built.spec
     # Where attitudes count, longer turns are slower, and faster ones shorter.
     kept, turning = not spec.is_one_axis, own[PEAK_RATES] != 0.0
@@ -142,9 +132,9 @@ def _of_plan(of: Differentiable) -> dict[str, tuple[Change, float]]:
     waves = max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)
     turned = waves * float(np.max(np.abs(after - before[0]), initial=0.0))
     step = min(_STEP, _PHASE / turned) if turned and not kept else _STEP
-    figures: dict[str, tuple[Change, float]] = {TIME: (longer, step)}
-    # Where functions of the rate are divided, faster turns divide the pieces elsewhere.
-    divided = any(isinstance(t, Map) and t.rate is not None and t.rate.breaks for t in built.model.terms)
+    # Where functions of the rate are divided, other rates divide the pieces elsewhere.
+    divided = any(isinstance(t, Map) and t.rate.breaks for t in built.model.terms)
+    figures: dict[str, tuple[Change, float]] = {} if divided and kept else {TIME: (longer, step)}
     if len(line.moving_pieces) and not divided:
         figures[RATES] = faster, _SMALL_STEP if kept else step
     return figures

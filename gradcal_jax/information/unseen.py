@@ -24,6 +24,7 @@ from gradcal_jax.arrays import namespace
 from gradcal_jax.calibration import UnseenError
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
+from gradcal_jax.information.plan_information import imu_posterior, plan_information
 from gradcal_jax.model import (
     AXIS_NAMES,
     BIAS,
@@ -37,7 +38,7 @@ from gradcal_jax.model import (
     ProductTerm,
     Term,
 )
-from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, plan_information, unweighted_estimator
+from gradcal_jax.model.build import BuiltImu, build_imu, unweighted_estimator
 from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.motion import EARTH_RATE, Turns, turns_of
 from gradcal_jax.spec.absent import absent_terms, with_typical
@@ -112,23 +113,21 @@ def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
         return terms
     for number, c in enumerate(channels):
         own = f"{INPUTS[c.kind]} {AXIS_NAMES[c.axis]}"
-        of_scale = ProductTerm(std=np.ones(()), name=SCALE_FACTOR, si_unit="s/K", signals=(own,), slopes=1)
-        terms += [(number, GradientOfBias(std=np.ones(()), has_prior=False)), (number, of_scale)]
+        of_scale = ProductTerm(std=np.ones(()), name=SCALE_FACTOR, unit="s/K", signals=(own,), slopes=1)
+        terms += [(number, GradientOfBias(std=np.inf)), (number, of_scale)]
     return terms
 
 
 def answers_of(built: BuiltImu, columns: Any = None) -> Answers:
     """The answers of a plan's estimate, of which `columns` `(p, k)` are those to its drifting terms (None: it has
     none)."""
-    channels, gradient, lag = built.model.channels, list[Any](), list[Any]()
+    channels, nothing = built.model.channels, np.zeros(built.model.size)
     if columns is None:
-        return Answers([np.zeros(built.model.size)] * len(channels), [np.zeros(built.model.size)] * len(channels))
-    for number, c in enumerate(channels):
-        by_bias, by_scale = slopes_of(built.spec.sensor, c.kind)
-        of_bias, of_scale = columns[:, 2 * number], columns[:, 2 * number + 1]
-        gradient.append(of_bias)
-        lag.append(-by_bias * of_bias - by_scale * of_scale)
-    return Answers(gradient, lag)
+        return Answers([nothing] * len(channels), [nothing] * len(channels))
+    gradient, by_scale = columns.T[::2], columns.T[1::2]
+    slopes = [slopes_of(built.spec.sensor, c.kind) for c in channels]
+    lag = [-of[0] * a - of[1] * b for of, a, b in zip(slopes, gradient, by_scale, strict=True)]
+    return Answers(list(gradient), lag)
 
 
 def posterior_and_answers(built: BuiltImu, known: Posterior | None = None) -> tuple[Posterior, Answers]:

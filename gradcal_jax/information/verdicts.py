@@ -8,10 +8,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from gradcal_jax.information.residual import Statistic
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
+Statistic = Literal["mean of max", "max", "mean", "rms"]
 PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
 UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "gyro_bias": ("deg/h", DEG_PER_H),

@@ -6,7 +6,7 @@
 * `build`: all of these from a spec, with the motion of its plan.
 """
 
-from gradcal_jax.model.bases import Basis, Bins, BSpline, HigherPolynomials, Polynomial
+from gradcal_jax.model.bases import Basis, BSpline, Polynomial
 from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, ImuModel
 from gradcal_jax.model.installation import (
     AxisHarmonics,
@@ -18,10 +18,8 @@ from gradcal_jax.model.installation import (
 )
 from gradcal_jax.model.nodes import (
     AXIS_NAMES,
-    BodyGroup,
     BodyNodes,
-    Nodes,
-    SharedNodes,
+    NodeGroup,
 )
 from gradcal_jax.model.noise import Processes, constant, gauss_markov, no_processes, rate_random_walk
 from gradcal_jax.model.path import Hysteresis

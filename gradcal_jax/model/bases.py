@@ -5,6 +5,7 @@ well-conditioned coordinates (Legendre polynomials); *reported* coefficients are
 monomials. `to_reported @ engine = reported` connects them.
 """
 
+from abc import abstractmethod
 from functools import lru_cache
 
 import equinox as eqx
@@ -19,13 +20,14 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 class Basis(PytreeModule):
     """A finite set of functions of one variable."""
 
+    @abstractmethod
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
         """Values of the engine's functions at `x`, on a new last axis."""
-        raise AssertionError("Basis is abstract: use Polynomial, BSpline or Bins")
 
     @property
+    @abstractmethod
     def size(self) -> int:
-        raise AssertionError("Basis is abstract: use Polynomial, BSpline or Bins")
+        """Number of functions."""
 
     @property
     def to_reported(self) -> np.ndarray:
@@ -89,6 +91,10 @@ class Polynomial(Basis):
     def constant(self) -> np.ndarray:
         return np.eye(self.size)[0]
 
+    def raised(self, degree: int) -> "Polynomial":
+        """The polynomials up to a higher degree."""
+        return Polynomial(max(degree, self.degree), self.centre, self.scale)
+
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size size"]:
         """S with `basis(x + by) = basis(x) S` for all x."""
         x = self.centre + self.scale * np.linspace(-1.0, 1.0, self.size)
@@ -96,7 +102,8 @@ class Polynomial(Basis):
 
 
 class BSpline(Basis):
-    """Clamped B-splines of `degree` on `knots` (both ends included)."""
+    """Clamped B-splines of `degree` on `knots` (both ends included). Those of degree 0 are bins, piecewise constants:
+    the paper's mean values over carefully selected ranges."""
 
     knots: tuple[float, ...] = eqx.field(static=True)
     degree: int = eqx.field(static=True, default=3)
@@ -114,63 +121,11 @@ class BSpline(Basis):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        return self.knots
+        return self.knots if self.degree else self.knots[1:-1]
 
     @property
     def has_neighbours(self) -> bool:
         return True
-
-
-class Bins(Basis):
-    """Piecewise constants between `edges`: the paper's mean values over carefully selected ranges."""
-
-    edges: tuple[float, ...] = eqx.field(static=True)
-
-    def __check_init__(self):
-        if len(self.edges) < 2 or list(self.edges) != sorted(set(self.edges)):
-            raise ValueError("bins need at least two edges, in increasing order")
-
-    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
-        return formulas.bins(x, self.edges)
-
-    @property
-    def size(self) -> int:
-        return len(self.edges) - 1
-
-    @property
-    def breaks(self) -> tuple[float, ...]:
-        return self.edges[1:-1]
-
-    @property
-    def has_neighbours(self) -> bool:
-        return True
-
-
-class HigherPolynomials(Basis):
-    """The Legendre polynomials that a model of lower degree leaves out: `lowest … degree` in `(x − centre)/scale`.
-
-    With a prior they describe the structure that a model lacks; they are never reported.
-    """
-
-    lowest: int = eqx.field(static=True)
-    degree: int = eqx.field(static=True)
-    centre: float = eqx.field(static=True)
-    scale: float = eqx.field(static=True)
-
-    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
-        return self.from_zero(x)[..., self.lowest :]
-
-    def from_zero(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... all"]:
-        """All Legendre polynomials in order, those of the model first; at least `lowest` of them."""
-        return formulas.legendre((x - self.centre) / self.scale, max(self.degree, self.lowest - 1))
-
-    @property
-    def size(self) -> int:
-        return max(self.degree + 1 - self.lowest, 0)
-
-    @property
-    def constant(self) -> np.ndarray:
-        return np.zeros(self.size)
 
 
 def tensor(first: Float[AnyArray, "... a"], second: Float[AnyArray, "... b"]) -> Float[AnyArray, "... ab"]:

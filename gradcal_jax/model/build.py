@@ -2,23 +2,14 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import combinations_with_replacement
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information import (
-    Posterior,
-    SquareRootInformation,
-    imu_information,
-    imu_unweighted,
-    posterior,
-    segments_of,
-)
-from gradcal_jax.information.gears import gears_of, rows_of_gears
-from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import (
     AXIS_NAMES,
     BIAS,
@@ -31,7 +22,6 @@ from gradcal_jax.model import (
     ChannelKind,
     Discrepancy,
     GradientOfBias,
-    HigherPolynomials,
     Hysteresis,
     ImuModel,
     Map,
@@ -43,6 +33,7 @@ from gradcal_jax.model import (
     make_map,
     term_of_class,
 )
+from gradcal_jax.model.terms import CONSTANT, known_terms
 from gradcal_jax.motion import Geometry, Move, Schedule, TableMotion
 from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.bench import Rig
@@ -51,7 +42,7 @@ from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.places import specs_at_places
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.schedule import PlanSchedule, StandardSchedule
-from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.spec.temperature_path import GeneralTerm
 
@@ -61,7 +52,6 @@ G_SENSITIVITY = "g_sensitivity_{}"
 SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
-_CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
 _LAG_TIMES = 8.0
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
@@ -108,7 +98,7 @@ def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
         )
     if too := too_large(spec):
         raise MemoryError(too)
-    model_, sources = _model_and_sources(spec)
+    model_, sources = _kept(spec.sensor, spec.rig, _has_common_clock(spec), known_terms())
     bases = [t.temperature for t in model_.terms if isinstance(t, Map | Discrepancy)]
     degree = max(_degree(b) for b in bases)
     # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
@@ -128,20 +118,17 @@ def course_before(spec: Spec) -> np.ndarray | None:
     return np.array([float(t) for t in before]) if before else None
 
 
-def imu_posterior(built: BuiltImu) -> Posterior:
-    """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
-    if unweighted_estimator(built.spec):
-        return imu_unweighted(built.motion, built.model, built.body_nodes())
-    return posterior(plan_information(built)[0])
-
-
-def plan_information(
-    built: BuiltImu, beside: Sequence[tuple[int, Term]] = (), at: Segments | None = None
-) -> tuple[SquareRootInformation, Any]:
-    """`imu_information` of a plan on a table whose gears' errors are unknown."""
-    motion, of, nodes = built.motion, built.model, built.body_nodes()
-    common = rows_of_gears(motion, of, nodes, built.gears, at)[1] if built.gears else None
-    return imu_information(motion, of, nodes, beside, common, at)
+def gears_of(spec: Spec) -> list[tuple[float, float]]:
+    """Standard deviations of scale error and backlash (rad) of every axis, as far as the covariance of readings is to
+    contain them; empty: none. Readings along the only axis of a table take a scale error for one of the gyro's: there
+    it counts instead, and so does a typical one of any axis."""
+    table = spec.rig.table
+    if table.by_gravity or isinstance(spec.plan, StandardPlan):
+        return []
+    angles = [axis.angle for axis in table.axis]
+    scaled = not spec.is_one_axis and all(angle.scale_error is not None for angle in angles)
+    sizes = [(float(a.scale_error or 0.0) * scaled, float(a.backlash or 0.0)) for a in angles]
+    return sizes if np.any(sizes) else []
 
 
 def unweighted_estimator(spec: Spec) -> bool:
@@ -149,13 +136,13 @@ def unweighted_estimator(spec: Spec) -> bool:
     return isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares"
 
 
-def has_common_clock(spec: Spec) -> bool:
+def _has_common_clock(spec: Spec) -> bool:
     """Whether the sample clock is a parameter common to all channels; independent points each have their own."""
     return not isinstance(spec.plan, StandardPlan) or spec.plan.points == "one run"
 
 
-def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
-    table, site = spec.rig.table, spec.rig.site
+def _installation(sensor: Sensor, rig: Rig, common_clock: bool) -> tuple[model.InstallationTerm, ...]:
+    table, site = rig.table, rig.site
     terms: list[model.InstallationTerm] = []
     if table.tilt or table.azimuth:
         # A zero prior would be no prior: an angle that is known exactly keeps a tiny one.
@@ -168,14 +155,14 @@ def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
         if harmonics := axis.angle.harmonics:
             stds = np.repeat(np.array([float(h.amplitude) for h in harmonics]), 2)
             terms.append(model.AxisHarmonics(stds, tuple(h.order for h in harmonics), k, axis.name))
-    if spec.sensor.frame == "case":
+    if sensor.frame == "case":
         terms.append(model.MountingError(np.repeat(np.array([float(m.accuracy) for m in table.mounting]), 3)))
-    if site.gravity_accuracy and spec.sensor.accelerometer is not None:
+    if site.gravity_accuracy and sensor.accelerometer is not None:
         terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
-    force = spec.sensor.accelerometer
+    force = sensor.accelerometer
     timed = force is not None and force.velocity_increments
-    if spec.sensor.clock_error and has_common_clock(spec) and (timed or spec.sensor.gyro is not None):
-        terms.append(model.CommonScale(np.array([spec.sensor.clock_error]), "sample_clock", forces=timed))
+    if sensor.clock_error and common_clock and (timed or sensor.gyro is not None):
+        terms.append(model.CommonScale(np.array([sensor.clock_error]), "sample_clock", forces=timed))
     return tuple(terms)
 
 
@@ -203,19 +190,23 @@ _MAPS: dict[ChannelKind, tuple[tuple[str, str, tuple[str, ...], str, str, str], 
 _WHITE: dict[ChannelKind, str] = {"gyro": "angle_random_walk", "accelerometer": "velocity_random_walk"}
 
 
-def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
+def _model_and_sources(
+    sensor: Sensor, rig: Rig, common_clock: bool, _classes: tuple[type[OwnTerm], ...]
+) -> tuple[ImuModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
+    """Model and noise sources of a sensor on a rig; kept, since the points of a sweep have plans of their own only.
+    `_classes`: of terms, which may be defined anew."""
     channels: list[Channel] = []
     sources: dict[ChannelKind, dict[str, tuple[int, ...]]] = {}
     for kind in model.KINDS:
-        triad = getattr(spec.sensor, kind)
+        triad = getattr(sensor, kind)
         if triad is None:
             continue
-        processes, sources[kind] = _processes(spec, triad)
+        processes, sources[kind] = _processes(sensor, rig, common_clock, triad)
         white = np.asarray(float(getattr(triad, _WHITE[kind])))
         for axis in triad.axes:
             terms = tuple(_terms(triad, kind, axis))
             channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis)))
-    table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
+    table, angles = rig.table, [axis.angle for axis in rig.table.axis]
     numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
     offset, reading, every, timing = (np.array([float(getattr(a, name)) for a in angles]) for name in numbers)
     if table.by_gravity:
@@ -223,10 +214,16 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
     rate = np.asarray(float(table.rate_accuracy or 0.0))
     held = table.standing == "held"
     encoder = model.EncoderNoise(offset, reading, every, held, timing, rate, held or bool(np.any(offset)))
-    return ImuModel(tuple(channels), _installation(spec), encoder), sources
+    return ImuModel(tuple(channels), _installation(sensor, rig, common_clock), encoder), sources
 
 
-def _processes(spec: Spec, triad: GyroTriad | AccelerometerTriad) -> tuple[Processes, dict[str, tuple[int, ...]]]:
+_kept: Callable[..., tuple[ImuModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]]
+_kept = lru_cache(maxsize=16)(_model_and_sources)
+
+
+def _processes(
+    sensor: Sensor, rig: Rig, common_clock: bool, triad: GyroTriad | AccelerometerTriad
+) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     """The noise processes of a channel, and their indices by error source: its own, the sample clock where it is no
     common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
     total = model.no_processes()
@@ -250,11 +247,11 @@ def _processes(spec: Spec, triad: GyroTriad | AccelerometerTriad) -> tuple[Proce
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
         time = np.inf if error.correlation_time is None else float(error.correlation_time)
         add("temperature measurement", model.gauss_markov(float(error.standard_deviation), time, **gains))
-    if gyro is not None and spec.sensor.clock_error and not has_common_clock(spec):
-        add("sample clock", model.constant(spec.sensor.clock_error, rate_gain=1.0))
+    if gyro is not None and sensor.clock_error and not common_clock:
+        add("sample clock", model.constant(sensor.clock_error, rate_gain=1.0))
     if triad.turn_on_bias and triad.bias is None:
         add("turn-on bias", model.constant(float(triad.turn_on_bias), bias_gain=1.0))
-    if gyro is not None and spec.rig.site.is_unknown and gyro.bias is None:
+    if gyro is not None and rig.site.is_unknown and gyro.bias is None:
         # Rectangular within the whole rate.
         add("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0))
     return total, sources
@@ -273,14 +270,13 @@ def _terms(triad: GyroTriad | AccelerometerTriad, kind: ChannelKind, axis: str) 
         yield from _rotation_terms(triad)
     unit, own = ("rad/s", f"rate {axis}") if kind == "gyro" else ("m/s^2", f"force {axis}")
     if (gradient := triad.gradient_sensitivity) is not None:
-        std = or_infinite(gradient.prior)
-        yield GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="rad/K" if kind == "gyro" else "m/s/K")
+        yield GradientOfBias(std=float(or_infinite(gradient.prior)), unit="rad/K" if kind == "gyro" else "m/s/K")
     plays = [(play, HYSTERESIS, f"{unit}/K", ()) for play in triad.hysteresis]
     plays += [(play, SCALE_FACTOR_HYSTERESIS, "1/K", (own,)) for play in triad.scale_factor_hysteresis]
-    for play, name, si_unit, signals in plays:
+    for play, name, of_play, signals in plays:
         prior, width = np.asarray(float(play.prior)), np.asarray(float(play.width))
         called = name.format(f"{float(width):g}")
-        yield Hysteresis(std=prior, name=called, si_unit=si_unit, signals=signals, width=width)
+        yield Hysteresis(std=prior, name=called, unit=of_play, signals=signals, width=width)
     for one in triad.term:
         yield _general_term(one, unit, own)
     yield from (m.beyond for m in maps if m.beyond is not None)
@@ -297,7 +293,7 @@ def _map(
     if beyond is not None:
         hidden = float(beyond.standard_deviation), beyond.temperature_degree, getattr(beyond, "rate_degree", 0)
     return make_map(
-        _CONSTANT if temperature is None else basis(temperature),
+        CONSTANT if temperature is None else basis(temperature),
         None if rate is None else basis(rate),
         name=name,
         symbol=symbol,
@@ -305,7 +301,7 @@ def _map(
         signals=signals,
         numbered=isinstance(triad, GyroTriad) and key == "bias",
         prior_std=or_infinite(section.prior),
-        smoothness_std=or_infinite(getattr(section, "smoothness", None)),
+        smoothness_std=float(or_infinite(getattr(section, "smoothness", None))),
         common_std=float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
         discrepancy=hidden,
     )
@@ -318,7 +314,7 @@ def _rotation_terms(gyro: GyroTriad) -> Iterator[ProductTerm]:
         return
     for of in combinations_with_replacement(AXIS_NAMES, 2):
         signals = tuple(f"rate {a}" for a in of)
-        yield ProductTerm(std=np.asarray(std), name=f"ww_{''.join(of)}", si_unit="s", signals=signals)
+        yield ProductTerm(std=np.asarray(std), name=f"ww_{''.join(of)}", unit="s", signals=signals)
 
 
 def _general_term(one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
@@ -330,7 +326,7 @@ def _general_term(one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
     signals = tuple(factor for factor in one.factors if factor != SLOPE)
     every = ((own,) if of_scale else ()) + signals
     slopes = one.factors.count(SLOPE)
-    return ProductTerm(std=std, name=one.name, si_unit=unit, signals=every, slopes=slopes)
+    return ProductTerm(std=std, name=one.name, unit=unit, signals=every, slopes=slopes)
 
 
 def basis(section) -> Basis:
@@ -338,7 +334,7 @@ def basis(section) -> Basis:
     if isinstance(section, PolynomialKeys):
         return Polynomial(section.degree, float(section.centre), float(section.scale))
     knots = tuple(float(k) for k in section.knots)
-    return BSpline(knots, section.degree) if section.degree else model.Bins(knots)
+    return BSpline(knots, section.degree)
 
 
 def or_infinite(value: float | tuple[float, ...] | None) -> np.ndarray:
@@ -363,25 +359,6 @@ def geometry(rig: Rig) -> Geometry:
         np.asarray(rig.site.latitude_rad),
         np.asarray(rig.site.gravity_m_per_s2),
     )
-
-
-class RestPoses(NamedTuple):
-    """The `n` rests of a plan: `start` and `duration` s, and `up` `(n, 3)`, the vertical seen from the body."""
-
-    start: np.ndarray
-    duration: np.ndarray
-    up: np.ndarray
-
-
-def rest_poses(built: BuiltImu) -> RestPoses:
-    """The rests of a plan."""
-    motion = built.motion
-    line, at = motion.line, segments_of(motion, built.model)
-    before, _ = motion.angles()
-    stages = trajectory.frames(motion.geometry, before, motion.mounting)
-    rests = (at.axis < 0) & ~line.gap[at.first]
-    first = at.first[rests]
-    return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
 def _motion(spec: Spec, of: ImuModel) -> TableMotion:
@@ -456,7 +433,7 @@ def fineness(spec: Spec, of: ImuModel, line: trajectory.Trajectory) -> tuple[int
 
 
 def _degree(of: Basis | None) -> int:
-    return of.degree if isinstance(of, Polynomial | BSpline | HigherPolynomials) else 0
+    return of.degree if isinstance(of, Polynomial | BSpline) else 0
 
 
 def waves_of(spec: Spec) -> int:
@@ -473,7 +450,7 @@ def _breaks(of: ImuModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...
         for term in c.terms:
             if isinstance(term, Map):
                 warm.update(term.temperature.breaks)
-            if isinstance(term, Map) and term.rate is not None and term.rate.breaks:
+            if isinstance(term, Map) and term.rate.breaks:
                 fast.setdefault(c.axis, set()).update(term.rate.breaks)
     return tuple(sorted(warm)), {axis: tuple(sorted(at)) for axis, at in fast.items()}
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis
 from gradcal_jax.model.installation import InstallationTerm
-from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes
+from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyNodes, NodeGroup
 from gradcal_jax.model.noise import Processes
 from gradcal_jax.model.terms import (
     Discrepancy,
@@ -204,13 +204,13 @@ class ImuModel(PytreeModule):
         their misalignments at the mean temperature of each piece."""
         if not (terms := list(self.misalignments())):
             return nodes
-        groups, across_axes = list[BodyGroup](), np.zeros(np.shape(nodes.axes_before))
+        groups, across_axes = list[NodeGroup](), np.zeros(np.shape(nodes.axes_before))
         for group in nodes.groups:
-            across, shared = np.zeros((*group.weight.shape, 2 * len(AXIS_NAMES))), group.shared()
+            across = np.zeros((*group.weight.shape, 2 * len(AXIS_NAMES)))
             for number, term, places in terms:
-                functions = np.mean(term.temperature(shared.temperature), axis=1)
+                functions = np.mean(term.temperature(group.temperature), axis=1)
                 size, channel = (functions @ parameters[places])[:, None], self.channels[number]
-                across[..., channel.index] += size * shared.signal(term.signals[0])
+                across[..., channel.index] += size * group.signal(term.signals[0])
                 if channel.kind == "gyro":
                     other = AXIS_NAMES.index(term.signals[0][-1])
                     across_axes[group.kinds, :, channel.axis] += size * nodes.axes_before[group.kinds, :, other]
@@ -234,7 +234,7 @@ class ImuModel(PytreeModule):
         alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]]
         alike = [{} for _ in nodes.groups]
         for c in self.channels:
-            view = nodes.channel(c.kind, c.axis)
+            view = nodes.sensed_by(c.kind, c.axis)
             for term in c.terms:
                 end = begin + term.size
                 if isinstance(term, Map):
@@ -248,14 +248,13 @@ class ImuModel(PytreeModule):
                 begin = end
             ends.append(begin)
         for group, known in zip(nodes.groups, alike, strict=True):
-            shared = group.shared()
             for basis, terms in known.items():
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
                 where: tuple = group.pieces[:, None], places
                 if np.all(np.diff(places) == 1):  # (half the time)
                     where = group.pieces, slice(places[0], places[-1] + 1)
-                parts.append((where, shared.sums(basis(shared.temperature), drive)))
+                parts.append((where, group.sums(basis(group.temperature), drive)))
         columns = placed((len(nodes.kind), begin), *parts)
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 

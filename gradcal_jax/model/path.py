@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.formulas import running_clamps, then
-from gradcal_jax.model.nodes import Nodes, SharedNodes
+from gradcal_jax.model.nodes import BodyNodes, NodeGroup
 from gradcal_jax.model.terms import OwnTerm
 
 FREE = 3.0
@@ -56,25 +56,25 @@ class Hysteresis(OwnTerm):
         xp = namespace(self.std, self.width)
         return xp.diag(1.0 / xp.stack([self.std, FREE * self.std * self.width]))
 
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
         lowest, highest = self._before(nodes)
 
-        def of_group(g: SharedNodes):
+        def of_group(g: NodeGroup):
             xp, t = namespace(g.temperature), g.temperature
             within = running_clamps(t - self.width, t + self.width)
             low, high = then((lowest[g.pieces][:, None], highest[g.pieces][:, None]), within)
             behind, open_ = 0.5 * (low + high) - t, (high - low) / (2.0 * self.width)
             return g.sums(xp.stack([behind, open_], axis=-1), g.product(self.signals))
 
-        return nodes.integrals(of_group, self.size)
+        return nodes.of_pieces(of_group, self.size)
 
-    def values(self, nodes: SharedNodes):
+    def values(self, nodes: NodeGroup):
         raise AssertionError("the functions of a play depend on all earlier temperatures")
 
     def in_service(self, sign: float, slope: float) -> float:
         return -sign * float(self.width)
 
-    def _before(self, nodes: Nodes) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
+    def _before(self, nodes: BodyNodes) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
         """The extreme states (°C) before every piece."""
         start, history = nodes.temperature_before, nodes.history
         assert start is not None

@@ -1,7 +1,7 @@
 """Terms of the error model, each with its parameters' names, priors and columns.
 
 A *term* is a source of error that is linear in a few parameters. Its columns are the contributions of each parameter's
-unit to the integrated error over every piece of a trajectory (rad), a function of `nodes.Nodes` alone, so that plans
+unit to the integrated error over every piece of a motion (rad), a function of `nodes.BodyNodes` alone, so that plans
 and logs use the same terms. A new source of error is one more class here.
 """
 
@@ -14,14 +14,15 @@ from typing import Any, Final
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
-from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import Nodes, SharedNodes
+from gradcal_jax.model.bases import Basis, BSpline, Polynomial, tensor
+from gradcal_jax.model.nodes import BodyNodes, NodeGroup
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
+CONSTANT: Final = Polynomial(0, 0.0, 1.0)
 TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
 # Until its first turn an axis stands anywhere within its backlash. With a standard deviation of this many backlashes,
 # several times the true one, the first turn tells hardly anything of their size: it would, if that were certain.
@@ -32,14 +33,10 @@ DISCREPANCY: Final = "{}_discrepancy"
 
 
 class Term(PytreeModule):
-    """A source of error that is linear in `size` parameters; `name` identifies it in a model."""
+    """A source of error that is linear in `size` parameters, of the SI `unit`; `name` identifies it in a model."""
 
     name: eqx.AbstractVar[str]
-
-    @property
-    @abstractmethod
-    def unit(self) -> str:
-        """SI unit of its parameters."""
+    unit: eqx.AbstractVar[str]
 
     @property
     def of_own_input(self) -> bool:
@@ -60,7 +57,7 @@ class Term(PytreeModule):
         """Whitened rows of the prior; none for a flat one."""
 
     @abstractmethod
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
         """Contribution of each parameter's unit to the integrated error over each piece, rad."""
 
     @property
@@ -70,126 +67,88 @@ class Term(PytreeModule):
 
 
 class Discrepancy(Term):
-    """Functions that the structure of a map omits: the next Legendre polynomials, each with standard deviation `std`.
+    """Functions that the structure of a map omits: products of Legendre polynomials up to those of `temperature` and
+    `rate`, without the map's own, each with standard deviation `std`. `inside`: which of all products are the map's.
+    `by_rate`: see `Map`."""
 
-    Legendre polynomials, since the prior is on these functions. Without `rate` they
-    are functions of temperature alone.
-    """
-
-    temperature: HigherPolynomials
-    rate: HigherPolynomials | None
+    temperature: Polynomial
+    rate: Polynomial
     std: Float[AnyArray, ""]
+    inside: tuple[bool, ...] = eqx.field(static=True)
+    by_rate: bool = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
 
     @property
     def of_own_input(self) -> bool:
         return True
 
     @property
-    def unit(self) -> str:
-        return "rad/s" if self.rate is None else "1"
+    def where(self) -> Int[np.ndarray, " size"]:
+        """Its functions among all products."""
+        return np.flatnonzero(~np.array(self.inside))
 
     @property
     def size(self) -> int:
-        extra = self.temperature.size
-        if self.rate is None:
-            return extra
-        return extra * (self.rate.lowest + self.rate.size) + self.temperature.lowest * self.rate.size
+        return len(self.inside) - sum(self.inside)
 
     def names(self) -> list[str]:
         return [f"{self.name}{k}" for k in range(self.size)]
 
-    def degrees(self) -> list[tuple[int, int]]:
-        """Degrees in temperature and in rate of each function, in the order of `values`; 0 for a map without rate."""
-        low, high = self.temperature.lowest, self.temperature.lowest + self.temperature.size
-        if self.rate is None:
-            return [(i, 0) for i in range(low, high)]
-        beyond, every = self.rate.lowest, self.rate.lowest + self.rate.size
-        first = [(i, j) for i in range(low, high) for j in range(every)]
-        return first + [(i, j) for i in range(low) for j in range(beyond, every)]
-
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         return namespace(self.std).eye(self.size) / self.std
 
-    def _factors(self, temperature, rate) -> list[tuple]:
-        """Pairs of sets of functions whose products the structure omits."""
-        extra_t = self.temperature
-        if self.rate is None:
-            # In the rates' shape: the nodes of a unit's rates differ from those of its temperature.
-            return [(extra_t(temperature), namespace(temperature).ones((*rate.shape, 1)))]
-        all_t, all_w = extra_t.from_zero(temperature), self.rate.from_zero(rate)
-        within_t, beyond_t = all_t[..., : extra_t.lowest], all_t[..., extra_t.lowest :]
-        return [(beyond_t, all_w), (within_t, all_w[..., self.rate.lowest :])]
-
     def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
         """The functions at temperatures (°C) and rates (rad/s)."""
-        factors = [tensor(*pair) for pair in self._factors(temperature, rate)]
-        return namespace(temperature).concatenate(factors, axis=-1)
+        return tensor(self.temperature(temperature), self.rate(rate))[..., self.where]
 
-    def shifts(self, own: "Map", by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k s s"]:
-        """S with `f(T + by) = f(T) S` for all T (°C), f the functions of the map and then its own."""
-        axes = [
-            np.zeros(1)
-            if basis is None
-            else basis.centre + basis.scale * np.linspace(-1.0, 1.0, basis.lowest + basis.size)
-            for basis in (self.temperature, self.rate)
-        ]
-        t, w = (x.ravel() for x in np.meshgrid(*axes, indexing="ij"))
-        at = lambda t: np.concatenate([own.values(t, w), self.values(t, w)], axis=-1)  # noqa: E731
-        return np.linalg.solve(at(t)[None], np.stack([at(t + b) for b in by]))
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
+        def of_group(group: NodeGroup):
+            rate = group.own_input
+            drive = self.rate(rate) * rate[..., None] if self.by_rate else self.rate(rate)
+            return group.sums(self.temperature(group.temperature), drive)[:, self.where]
 
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: SharedNodes):
-            drive = 1.0 if self.rate is None else group.rate[..., None]
-            pairs = self._factors(group.temperature, group.rate)
-            parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
-            return namespace(group.weight).concatenate(parts, axis=-1)
-
-        return nodes.integrals(of_group, self.size)
+        return nodes.of_pieces(of_group, self.size)
 
 
 class Map(Term):
     """A function of temperature, and of the channel's own input with `rate`, times a product of `signals`, with priors.
 
-    B(T) has neither signals nor `rate`; M(T, ω) has both; a misalignment has the rate about another axis alone.
-    `prior_std`: standard deviation of every *reported* coefficient, or of each (`has_prior`: finite). `common_std`: of
-    an error common to the whole map, inseparable from its constant (turn-on bias of B). `smoothness_std`: of the
-    difference of neighbouring coefficients (`has_smoothness`: finite). `beyond`: functions that the structure omits, a
-    term of its own in a model. `symbol`: of the coefficients; `numbered`: even if there is one.
+    B(T) has no signals; M(T, ω) has one, and is a function of the rate (`by_rate`), too; a misalignment has the rate
+    about another axis alone. Without `by_rate`, `rate` is the constant. `prior_std`: standard deviation of every
+    *reported* coefficient, or of each (infinite: none). `common_std`: of an error common to the whole map, inseparable
+    from its constant (turn-on bias of B). `smoothness_std`: of the difference of neighbouring coefficients. `beyond`:
+    functions that the structure omits, a term of its own in a model. `symbol`: of the coefficients; `numbered`: even if
+    there is one.
     """
 
     temperature: Basis
-    rate: Basis | None
-    prior_std: Float[AnyArray, "*sizes"]
-    smoothness_std: Float[AnyArray, ""]
-    common_std: Float[AnyArray, ""]
+    rate: Basis
+    prior_std: Float[np.ndarray, "*sizes"]
+    smoothness_std: float
+    common_std: float
     beyond: Discrepancy | None
+    by_rate: bool = eqx.field(static=True)
     name: str = eqx.field(static=True)
     symbol: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
     signals: tuple[str, ...] = eqx.field(static=True)
     numbered: bool = eqx.field(static=True)
-    has_prior: bool = eqx.field(static=True)
-    has_smoothness: bool = eqx.field(static=True)
-
-    @property
-    def unit(self) -> str:
-        return self.si_unit
 
     @property
     def size(self) -> int:
-        return self.temperature.size * (1 if self.rate is None else self.rate.size)
+        return self.temperature.size * self.rate.size
 
     @property
     def of_own_input(self) -> bool:
-        return self.rate is not None or not self.signals
+        return self.by_rate or not self.signals
 
     def names(self) -> list[str]:
         """As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th
         power of rate and the i-th of temperature in M. Other bases count their functions: `a_bin3`, `b_spline2_1`.
         """
         t, w, symbol = self.temperature, self.rate, self.symbol
-        if w is None:
+        if not self.by_rate:
             if t.size == 1 and not self.numbered:
                 return [symbol]
             return [f"{symbol}{_ordinal(t, i)}" for i in range(t.size)]
@@ -199,19 +158,16 @@ class Map(Term):
 
     def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
         """The engine's functions at temperatures (°C) and rates (rad/s)."""
-        at_temperature = self.temperature(temperature)
-        return at_temperature if self.rate is None else tensor(at_temperature, self.rate(rate))
+        return tensor(self.temperature(temperature), self.rate(rate))
 
     @property
     def to_reported(self) -> np.ndarray:
-        of_temperature = self.temperature.to_reported
-        return of_temperature if self.rate is None else np.kron(of_temperature, self.rate.to_reported)
+        return np.kron(self.temperature.to_reported, self.rate.to_reported)
 
     @property
     def constant(self) -> np.ndarray:
         """`(size,)`: engine coefficients of the map that is 1 everywhere."""
-        of_temperature = self.temperature.constant
-        return of_temperature if self.rate is None else np.kron(of_temperature, self.rate.constant)
+        return np.kron(self.temperature.constant, self.rate.constant)
 
     def differences(self) -> np.ndarray:
         """`(q, size)`: differences of neighbouring *reported* coefficients, along the axes that have neighbours."""
@@ -219,36 +175,37 @@ class Map(Term):
         def steps(basis: Basis) -> np.ndarray:
             return np.diff(np.eye(basis.size), axis=0) if basis.has_neighbours else np.zeros((0, basis.size))
 
-        if self.rate is None:
-            return steps(self.temperature) @ self.to_reported
-        n_t, n_w = self.temperature.size, self.rate.size
-        both = [np.kron(steps(self.temperature), np.eye(n_w)), np.kron(np.eye(n_t), steps(self.rate))]
+        t, w = self.temperature, self.rate
+        both = [np.kron(steps(t), np.eye(w.size)), np.kron(np.eye(t.size), steps(w))]
         return np.concatenate(both) @ self.to_reported
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k s s"] | None:
         """S with `f(T + by) = f(T) S` for all T (°C), f its functions and then those that it omits; None unless these
         are polynomials of T."""
-        if not isinstance(self.temperature, Polynomial):
+        of = self if self.beyond is None else self.beyond
+        if not isinstance(of.temperature, Polynomial):
             return None
-        if self.beyond is not None:
-            return self.beyond.shifts(self, by)
-        return np.kron(self.temperature.shifts(by), np.eye(1 if self.rate is None else self.rate.size)[None])
+        shifts = np.kron(of.temperature.shifts(by), np.eye(of.rate.size)[None])
+        if self.beyond is None:
+            return shifts
+        order = np.concatenate([np.flatnonzero(self.beyond.inside), self.beyond.where])
+        return shifts[:, order[:, None], order]
 
-    def prior_rows(self) -> Float[AnyArray, "q size"]:
-        xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
-        if self.has_prior:
+    def prior_rows(self) -> Float[np.ndarray, "q size"]:
+        rows = [np.zeros((0, self.size))]
+        if np.all(np.isfinite(self.prior_std)):
             rows.append(_prior_with_common(self.to_reported, self.constant, self.prior_std, self.common_std))
-        if self.has_smoothness:
-            rows.append(xp.asarray(self.differences()) / self.smoothness_std)
-        return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
+        if np.isfinite(self.smoothness_std):
+            rows.append(self.differences() / self.smoothness_std)
+        return np.concatenate(rows)
 
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
+        return nodes.of_pieces(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
-    def drive(self, group: SharedNodes) -> Float[AnyArray, "U q b"]:
+    def drive(self, group: NodeGroup) -> Float[AnyArray, "U q b"]:
         """Factors of the functions of temperature at the nodes: the signals, and functions of the channel's input."""
         product = group.product(self.signals)
-        return product if self.rate is None else self.rate(group.rate) * product
+        return self.rate(group.own_input) * product if self.by_rate else product
 
 
 def make_map(
@@ -261,7 +218,7 @@ def make_map(
     signals: tuple[str, ...] = (),
     numbered: bool = False,
     prior_std: float | np.ndarray = np.inf,
-    smoothness_std: float | np.ndarray = np.inf,
+    smoothness_std: float = np.inf,
     common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
 ) -> Map:
@@ -269,55 +226,58 @@ def make_map(
 
     Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
     """
-    beyond = None
-    scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731
+    beyond, by_rate, rate = None, rate is not None, rate or CONSTANT
     if discrepancy is not None:
-        std, *degrees = discrepancy
-        polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
-        if len(polynomials) < (1 if rate is None else 2):
+        if not (isinstance(temperature, Polynomial) and isinstance(rate, Polynomial)):
             raise ValueError(
                 "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
             )
-        bases = [
-            HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
-            for b, degree in zip(polynomials, degrees, strict=False)
-        ]
-        of_rate = None if rate is None else bases[1]
-        hidden = DISCREPANCY.format(name)
-        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden)
-        if beyond.size == 0:
+        std, highest, fastest = discrepancy
+        whole = temperature.raised(highest), rate.raised(fastest if by_rate else 0)
+        inside = np.zeros([basis.size for basis in whole], bool)
+        inside[: temperature.size, : rate.size] = True
+        if np.all(inside):
             raise ValueError(
                 "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
             )
+        beyond = Discrepancy(
+            temperature=whole[0],
+            rate=whole[1],
+            std=np.asarray(std),
+            inside=tuple(inside.ravel().tolist()),
+            by_rate=by_rate,
+            name=DISCREPANCY.format(name),
+            unit=unit,
+        )
     return Map(
         temperature=temperature,
         rate=rate,
-        prior_std=scalar(prior_std),
-        smoothness_std=scalar(smoothness_std),
-        common_std=scalar(common_std),
+        prior_std=np.asarray(prior_std),
+        smoothness_std=smoothness_std,
+        common_std=common_std,
         beyond=beyond,
+        by_rate=by_rate,
         name=name,
         symbol=symbol,
-        si_unit=unit,
+        unit=unit,
         signals=signals,
         numbered=numbered,
-        has_prior=bool(np.all(np.isfinite(prior_std))),
-        has_smoothness=bool(np.isfinite(smoothness_std)),
     )
 
 
-def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:
+def _prior_with_common(
+    reported: np.ndarray, constant: np.ndarray, std: np.ndarray, common_std: float
+) -> Float[np.ndarray, "size size"]:
     """Rows of the prior `D² + σ_c² v vᵀ` on the reported coefficients, `D = diag(σ)`, `v` of the constant function.
 
     With `u = D⁻¹v`, a rank-one update of the identity has the square root `1 − γ u uᵀ`, so no factorisation is needed:
     `(1 + c u uᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|u|²)) u uᵀ/|u|²`.
     """
-    xp = namespace(std, common_std)
-    sizes = xp.broadcast_to(xp.asarray(std), constant.shape)
+    sizes = np.broadcast_to(std, constant.shape)
     u, rows = reported @ constant / sizes, reported / sizes[:, None]
     square = u @ u
-    shrink = 1.0 - 1.0 / xp.sqrt(1.0 + common_std**2 * square)
-    return rows - shrink * (xp.outer(u, u) / square @ rows)
+    shrink = 1.0 - 1.0 / np.sqrt(1.0 + common_std**2 * square)
+    return rows - shrink * (np.outer(u, u) / square @ rows)
 
 
 def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
@@ -333,7 +293,8 @@ def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
 def _ordinal(basis: Basis, index: int) -> str:
     if isinstance(basis, Polynomial):
         return str(index)
-    return f"_{type(basis).__name__.lower().removeprefix('b').replace('ins', 'bin')}{index}"
+    assert isinstance(basis, BSpline)
+    return f"_spline{index}" if basis.degree else f"_bin{index}"
 
 
 class GradientOfBias(Term):
@@ -342,24 +303,18 @@ class GradientOfBias(Term):
     `std` `inf`: flat.
     """
 
-    std: Float[AnyArray, ""]
-    has_prior: bool = eqx.field(static=True)
+    std: float
     name: str = eqx.field(static=True, default=TEMPERATURE_GRADIENT)
-    si_unit: str = eqx.field(static=True, default="rad/K")
+    unit: str = eqx.field(static=True, default="rad/K")
 
     @property
     def of_own_input(self) -> bool:
         return True
 
-    @property
-    def unit(self) -> str:
-        return self.si_unit
+    def prior_rows(self) -> Float[np.ndarray, "q size"]:
+        return np.eye(1)[: int(np.isfinite(self.std))] / self.std
 
-    def prior_rows(self) -> Float[AnyArray, "q size"]:
-        xp = namespace(self.std)
-        return xp.reshape(1.0 / self.std, (1, 1)) if self.has_prior else xp.zeros((0, 1))
-
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
         return nodes.temperature_change[:, None]
 
 
@@ -394,21 +349,17 @@ class OwnTerm(Term):
 
     A subclass gives `values`, functions of the temperature's path and of the motion whose products are integrated; it
     may also give `size`, `names`, `prior_rows`, or `columns` itself. `std`: standard deviation of each parameter before
-    the calibration. `si_unit`: of a parameter. `signals`: of the motion, which multiply a function of the path.
+    the calibration. `signals`: of the motion, which multiply a function of the path.
     """
 
     std: Float[AnyArray, ""]
     name: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True, default="1")
+    unit: str = eqx.field(static=True, default="1")
     signals: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
         _KNOWN[cls.__name__] = cls
-
-    @property
-    def unit(self) -> str:
-        return self.si_unit
 
     @property
     def of_path(self) -> bool:
@@ -424,14 +375,14 @@ class OwnTerm(Term):
         return namespace(self.std).eye(self.size) / self.std
 
     @abstractmethod
-    def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m a"], Float[AnyArray, "U q b"]]:
+    def values(self, nodes: NodeGroup) -> tuple[Float[AnyArray, "k m a"], Float[AnyArray, "U q b"]]:
         """Functions of `nodes.temperature` (°C), `nodes.time` (s), `nodes.slope` (K/s), and functions of the motion
         (`nodes.signal("rate x")`), by jax.numpy; a·b is the number of parameters. `constant_function`: either."""
 
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
         # Functions are written by jax.numpy, and where nothing is differentiated the nodes are NumPy's.
         of = np.asarray if isinstance(nodes.temperature_change, np.ndarray) else lambda values: values
-        return nodes.integrals(lambda g: g.sums(*map(of, self.values(g))), self.size)
+        return nodes.of_pieces(lambda g: g.sums(*map(of, self.values(g))), self.size)
 
     def in_service(self, sign: float, slope: float) -> float:
         """The factor of the first parameter, apart from signals, a long time after the temperature began to change in
@@ -440,7 +391,8 @@ class OwnTerm(Term):
 
 
 class ProductTerm(OwnTerm):
-    """The product of `signals` such as "rate x", "force y" or "|force z|", and of dT/dt (K/s) to the power `slopes`."""
+    """The product of `signals` such as "rate x", "force y" or "|force z|", and of dT/dt (K/s) to the power
+    `slopes`."""
 
     slopes: int = eqx.field(static=True, default=0)
 
@@ -452,7 +404,7 @@ class ProductTerm(OwnTerm):
     def of_path(self) -> bool:
         return self.slopes > 0
 
-    def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
+    def values(self, nodes: NodeGroup) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
         of_path = constant_function(nodes.temperature)
         if self.slopes:
             assert nodes.slope is not None
@@ -468,7 +420,12 @@ def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:
     return namespace(like).ones((*like.shape, 1))
 
 
-def term_of_class(of: str, std: float, name: str, si_unit: str) -> OwnTerm:
+def known_terms() -> tuple[type[OwnTerm], ...]:
+    """The classes of terms that are defined."""
+    return tuple(_KNOWN.values())
+
+
+def term_of_class(of: str, std: float, name: str, unit: str) -> OwnTerm:
     """The term of a class that was defined, or that another package brings. Errors: `ValueError` without it."""
     if of not in _KNOWN:
         for entry in entry_points(group=ENTRY_POINTS):
@@ -479,4 +436,4 @@ def term_of_class(of: str, std: float, name: str, si_unit: str) -> OwnTerm:
             "the spec is used. If commands or the workers of a sweep use the class, an installed package must name the "
             f'module of the class in an entry point of the group "{ENTRY_POINTS}"'
         )
-    return _KNOWN[of](std=np.asarray(std), name=name, si_unit=si_unit)
+    return _KNOWN[of](std=np.asarray(std), name=name, unit=unit)

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.model import BodyNodes, NodeGroup
 from gradcal_jax.motion.gauss import EDGE, crossings, temperature_crossings, turning_points
 from gradcal_jax.motion.trajectory import Trajectory, quadrature
 
@@ -375,7 +375,7 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting, *path)
 
 
-def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
+def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> NodeGroup:
     line, geometry, xp = motion.line, motion.geometry, namespace(before, motion.line.duration, motion.geometry)
     example = motion.example[kinds]
     x, w = quadrature(count)
@@ -407,11 +407,11 @@ def body_group(
     joint: Float[AnyArray, "U q L"],
     mounting: Int[AnyArray, "U q"],
     path: tuple[Any, Any] = (None, None),
-) -> BodyGroup:
+) -> NodeGroup:
     """A group of nodes at which the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
 
     `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former; `path`: time and
-    slope. The rest: see `BodyGroup`.
+    slope. The rest: see `NodeGroup`.
     """
     xp = namespace(geometry, angle, joint)
     stages = frames(geometry, angle, mounting)
@@ -422,7 +422,7 @@ def body_group(
     seen = rate, geometry.gravity * up, earth, up, stages.attitude, stages.axes, stages.crosses
     time, slope = path
     seen = *seen, outer, joint, angle
-    return BodyGroup(*pieces, temperature, share, weight, *seen, time=time, slope=slope)
+    return NodeGroup(*pieces, temperature, share, weight, *seen, time=time, slope=slope)
 
 
 def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:

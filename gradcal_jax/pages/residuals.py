@@ -6,11 +6,11 @@ import numpy as np
 
 from gradcal_jax.estimation.calibrations import calibrated_parameters, calibrated_posterior
 from gradcal_jax.information import posterior
-from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.information.prediction import judged_plan
+from gradcal_jax.information.residual import ResidualMap, residual_of
 from gradcal_jax.information.unseen import TURN_ON, widened
-from gradcal_jax.information.verdicts import run_of
+from gradcal_jax.information.verdicts import finite, run_of
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.tables import results as results_of
 from gradcal_jax.spec.requirement import Requirement
@@ -23,7 +23,7 @@ class ResidualLeft(NamedTuple):
     far as they are known."""
 
     requirement: Requirement
-    stages: dict[str, ImuResidual]
+    stages: dict[str, ResidualMap]
 
 
 def residuals_of(sources: Sources) -> list[ResidualLeft]:
@@ -45,7 +45,7 @@ def residuals_of(sources: Sources) -> list[ResidualLeft]:
             if run == "any run" and turn_on is not None:
                 achieved = widened(achieved, {TURN_ON: turn_on})
             known["achieved"] = built._replace(about=about), achieved
-        stages = {stage: quantity_of(of, requirement).residual(by) for stage, (of, by) in known.items()}
+        stages = {stage: residual_of(of, requirement).map(by) for stage, (of, by) in known.items()}
         finite = {stage: left for stage, left in stages.items() if np.isfinite(left.values).any()}
         found.append(ResidualLeft(requirement, finite))
     return found
@@ -67,7 +67,7 @@ def outcome_table(sources: Sources, found: list[ResidualLeft]) -> Table:
             "requirement": row.name,
             "within": f"{low:g} to {high:g} °C{rates}",
             "statistic": f"{row.statistic}, {row.axis}",
-            "before": "" if (prior := before.get(row.name)) is None else amount(prior.statistic(), row.unit),
+            "before": "" if (prior := before.get(row.name)) is None else amount(finite(prior.statistic()), row.unit),
             "predicted": amount(row.judged, row.unit),
             "achieved": "",
             "target": "" if row.target is None else amount(row.target, row.unit),

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gradcal_jax.estimation.calibrations import Box
-from gradcal_jax.information.imu_residual import ImuResidual
+from gradcal_jax.information.residual import ResidualMap
 from gradcal_jax.plots.style import COLOUR_MAP, new_axes, style_of
 
 # Residuals that differ by more than this are shown on logarithmic scales.
@@ -70,7 +70,7 @@ def draw_curves(
     return ax, lines
 
 
-def boxes_of(left: ImuResidual, label: str = "") -> list[tuple[str, Box]]:
+def boxes_of(left: ResidualMap, label: str = "") -> list[tuple[str, Box]]:
     """The elements of a residual with their names, after a label of them all."""
     several = len(left.labels) > 1
     return [

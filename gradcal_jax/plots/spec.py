@@ -9,9 +9,10 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.estimation.calibrations import Box
-from gradcal_jax.information.imu_residual import imu_residual
+from gradcal_jax.information.plan_information import imu_posterior, rest_poses
+from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.verdicts import target_of
-from gradcal_jax.model.build import build_imu, imu_posterior, rest_poses
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.plots.residual import boxes_of, draw_curves
 from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_panels, style_of
 from gradcal_jax.spec.schedule import StandardSchedule
@@ -29,7 +30,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFi
         known = imu_posterior(built)
         for requirement in spec.requirement:
             key, target = (requirement.name, requirement.quantity), target_of(requirement)
-            found.setdefault(key, []).extend(boxes_of(imu_residual(built, known, requirement), label))
+            found.setdefault(key, []).extend(boxes_of(residual_map(built, known, requirement), label))
             targets[key] = None if target is None or len(specs) > 1 else target / requirement.coverage
     if not found:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")

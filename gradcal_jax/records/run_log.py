@@ -12,7 +12,6 @@ The columns of the log are views of the samples' file, which is mapped into memo
 than one of an hour.
 """
 
-import itertools
 import time
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
@@ -25,8 +24,8 @@ from numpy.typing import NDArray
 
 from gradcal_jax import formulas
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, records_of
-from gradcal_jax.hardware.run_folder import SESSION, RunFolder, rig_as_run
+from gradcal_jax.hardware.journal import Chunk, Event, records_of
+from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.alignment import AngleTrack, NoAlignment, align
 from gradcal_jax.records.clockmap import ClockMap, bridge_gaps, fit_arrivals, last_of_chunks
@@ -64,8 +63,7 @@ def log(
     """
     run = RunFolder(Path(folder))
     about = {name: str(text) for name, text in run.notes().get("about", {}).items()}
-    events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
-    rig = rig_as_run(JournalContents(list(itertools.islice(events, 1))), run.rig())
+    rig = run.rig_begun()
     scratch = Path(folder if scratch is None else scratch)
     if recording is not None:
         of_run = _log_of_recording(run.events().records, run.recipe(), rig, recording, unit, scratch)

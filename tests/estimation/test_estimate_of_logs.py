@@ -14,8 +14,9 @@ from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.lag_of_maps import LateTemperatures
 from gradcal_jax.estimation.log_rows import Options, time_of
 from gradcal_jax.formulas import followed
+from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.records.log import Log, LogError, Reason
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed

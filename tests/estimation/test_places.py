@@ -8,9 +8,10 @@ from scipy.linalg import expm
 
 import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.information.imu_residual import imu_residual
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model.build import build_imu, geometry, imu_posterior
+from gradcal_jax.model.build import build_imu, geometry
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.bench import Place
 from gradcal_jax.spec.changes import tables_of
@@ -112,7 +113,7 @@ def test_a_search_serves_all_places():
         built = build_imu(at)
         known = imu_posterior(built)
         left = [
-            imu_residual(built, known, r).statistic() / float(r.target) / UNIT_OF[r.quantity][1]
+            residual_map(built, known, r).statistic() / float(r.target) / UNIT_OF[r.quantity][1]
             for r in spec.requirement
         ]
         logs.append(np.mean(np.log(left)))

@@ -21,7 +21,8 @@ import gradcal_jax as gj
 from gradcal_jax.estimation.estimate import with_options
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.model.build import build_imu
 
 # How far off the plan's angle each turn ends, deg (standard deviation).
 SPOILT = (1.0, 5.0, 45.0)

@@ -59,7 +59,7 @@ def run(at: str, to: str, times: str, *guard: str) -> int:
         memory_mb.append(pages * os.sysconf("SC_PAGESIZE") / 1e6)
 
     result = run_session(
-        made, made.rig(), clock, first_step=first, guard=bool(guard), limits=limits, safe_deadline_s=20.0 * speed,
+        made, clock, first_step=first, guard=bool(guard), limits=limits, safe_deadline_s=20.0 * speed,
         on_progress=look,
     )  # fmt: skip
     used, took_s = os.times(), clock.now() - began_s

@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.estimation.log_rows import Options, imu_rows, with_options
 from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.track import Ask, track_of
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.records import run_log
@@ -128,7 +129,7 @@ def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     asked = [step for step in steps if isinstance(step, Ask)]
     assert [step.mounting for step in asked] == [1, 2, 3]
     assert asked[1].hang == "mounting 2 (y along the axis): x along +z, y along +x, z along +y"
-    with pytest.raises(ValueError, match="the operator is asked to change the mounting of the IMUs at the terminal"):
+    with pytest.raises(ValueError, match="the IMUs is changed by the operator, who is asked at the terminal"):
         execute.run(recipe, tmp_path / "run", rig=one_axis_rig())
     assert not (tmp_path / "run").exists()
 
@@ -198,13 +199,12 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     }
     recipe = made(changed(parse_spec(presets.text("one-axis-table")), keys))
     run = tmp_path / "run"
-    runners: list[Runner] = []
 
     def look(progress: RunProgress) -> None:
         if progress.step.startswith("motion 2, 2 of") and (progress.step_left_s or math.inf) < 15.0:
-            runners[0].abort("enough")
+            raise HardwareError("enough")
 
-    first = execute.run(recipe, run, simulate=True, seed=2, on_progress=look, with_runner=runners.append)
+    first = execute.run(recipe, run, simulate=True, seed=2, on_progress=look)
     assert first.reason == "enough"
     assert execute.resume(run).exit_status == "success"
     hung = [event.data["mounting"] for event in RunFolder(run).contents().events if event.name == "hung"]

@@ -52,7 +52,7 @@ def recorded_run(path: Path, duration_s: float) -> Path:
     samples = SensorSamples(np.zeros(count), rates, 1e-3 * forces, np.full(count, 23.0))
     sent = datagrams(samples, 0, float(RATE_HZ))
     with Journal(folder.journal_path) as journal:
-        begin_session(journal, 0.0, 0, rig, simulated=False, first_step=0)
+        begin_session(journal, 0.0, 0, simulated=False, first_step=0)
         journal.event(0.0, "identity", at_once=False, device=unit.name)
         journal.event(0.0, "configuration", at_once=False, device=unit.name, registers={})
         journal.event(0.0, "homing", at_once=False, axis=axis.name)

@@ -285,7 +285,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         with pytest.raises(HardwareError, match="no terminal at which to ask the operator"):
             axis.home()
         spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
-        (problem,) = dry_run_of(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()}).problems
+        (problem,) = dry_run_of(Track((TrackStep("rates", 5.0, moves=(spin,)),)), {"x": axis.limits()}).problems
     assert "but is turned by hand" in problem
 
 
@@ -357,11 +357,11 @@ def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
     typed = AxisLimits(120.0, 200.0, None, None, 0.01, by_hand=True, typed=True)
     track, chamber = (
         track_of(hand_recipe(**{"plan.cycle.moves": READ_AT_REST}), ["x"]),
-        ChamberLimits(-50.0, 90.0, 0.1, True),
+        ChamberLimits(-50.0, 90.0, True),
     )
-    assert not dry_run_of(track, chamber, {"x": replace(typed, typed=False)}).problems
-    assert not dry_run_of(track_of(hand_recipe(), ["x"]), chamber, {"x": typed}).problems
-    (problem,) = dry_run_of(track, chamber, {"x": typed}).problems
+    assert not dry_run_of(track, {"chamber": chamber, "x": replace(typed, typed=False)}).problems
+    assert not dry_run_of(track_of(hand_recipe(), ["x"]), {"chamber": chamber, "x": typed}).problems
+    (problem,) = dry_run_of(track, {"chamber": chamber, "x": typed}).problems
     assert "types its angle only once: add an [axis.encoder]" in problem
 
 

@@ -113,7 +113,7 @@ def test_a_run_with_it_and_with_devices_that_are_described_alone(tmp_path: Path)
         tables["axis"][0]["options"] = {"protocol": "aerosmith-like"}
         rig = rig_of(tables)
         run = new_folder(tmp_path / "run", made, rig, simulated={})
-        result = run_session(run, rig, clock, simulated=True)
+        result = run_session(run, clock)
         assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
         assert not acme.on
         assert not lab.axis.moving(clock.now())

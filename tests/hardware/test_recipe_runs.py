@@ -2,6 +2,7 @@
 
 import threading
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,9 +13,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.run_folder import (
-    new_folder,
-)
+from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.runner import Runner, RunResult
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.information import segments_of
@@ -157,19 +156,20 @@ def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
     made = short_recipe(2.0)
     with SimulatedLab(made.spec, clock) as lab:
         run = new_folder(folder, made, lab.rig, simulated={})
-        threads: list[threading.Thread] = []
+        begin = Runner.run
 
-        def attend(runner: Runner) -> None:
+        def attended(runner: Runner) -> RunResult:
             def abort() -> None:
                 clock.sleep_until(after_s)
                 if mute is not None:
                     lab.ports[mute].faults = Faults(mute=True)
                 runner.abort("now")
 
-            threads.append(threading.Thread(target=abort, daemon=True))
-            threads[0].start()
+            threading.Thread(target=abort, daemon=True).start()
+            return begin(runner)
 
-        result = run_session(run, lab.rig, clock, simulated=True, with_runner=attend, safe_deadline_s=ALLOWED_S)
+        with patch.object(Runner, "run", attended):
+            result = run_session(run, clock, safe_deadline_s=ALLOWED_S)
         clock.sleep(0.0)
         assert lab.axis_plants[0].state(clock.now())[1] == 0.0 or mute == 1
         assert lab.chamber.mode == "STANDBY" or mute == 0

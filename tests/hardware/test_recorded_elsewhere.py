@@ -38,7 +38,7 @@ def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, 
             kept.append(unit.take(unit.due(clock.now())))
 
         rig = lab.rig.model_copy(update={"imu": ()})
-        result = run_session(new_folder(folder, made, rig, simulated={}), rig, clock, simulated=True, on_progress=keep)
+        result = run_session(new_folder(folder, made, rig, simulated={}), clock, on_progress=keep)
         truth = lab.truths()
     assert (result.exit_status, result.reason) == ("success", "")
     rate = np.concatenate([part.rate_dps[:, 0] for part in kept])

@@ -95,7 +95,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
             if (run.path / "status.json").exists():
                 seen.append(read_status(run.path))
 
-        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look)
+        result = run_session(run, clock, on_progress=look)
     assert (result.exit_status, result.verified_safe) == ("success", True)
     last = read_status(run.path)
     assert (last["exit_status"], last["state"], last["simulated"]) == ("success", "safe", True)
@@ -126,7 +126,7 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
             if progress.steps_done == 1:
                 lab.chamber.raise_alarm(18)
 
-        result = run_session(run, rig, clock, simulated=True, on_progress=alarm)
+        result = run_session(run, clock, on_progress=alarm)
     assert result.exit_status == "aborted"
     heard = wait_for(tmp_path / "heard")
     assert "aborted" in heard

@@ -136,4 +136,4 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_what_it
             rig_file = with_board(rig.rig, port.url, timeout="1 s", **change)
             (report,) = (one for one in check_each(rig_file, clock) if one.name == "unit1")
             assert said in report.problem
-            assert report.good is not bool(said)
+            assert bool(report.problem) is bool(said)

@@ -72,8 +72,6 @@ GOOD: dict[str, Any] = {"event": "session", "number": 0, "wall_clock_s": 1.0, "s
         b"[1, 2]",
         b'{"name": "without an event"}',
         b'{"event": 7}',
-        json.dumps({"event": "line", "name": "x"}).encode(),
-        json.dumps({"event": "line", "number": "x", "name": "x"}).encode(),
         json.dumps({"event": "step done", "number": "many"}).encode(),
         json.dumps({"event": "step done", "number": True}).encode(),
         json.dumps(GOOD | {"wall_clock_s": None}).encode(),

@@ -11,7 +11,8 @@ import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information import Posterior, imu_information, posterior
+from gradcal_jax.information import Posterior, posterior
+from gradcal_jax.information.plan_information import imu_information
 from gradcal_jax.model import SCALE_FACTOR, Channel, EncoderNoise, ImuModel, Polynomial, make_map
 from gradcal_jax.motion import Geometry, TableMotion
 

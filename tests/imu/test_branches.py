@@ -7,7 +7,8 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.cli.check import omitted_lines
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.absent import attitude_sentences
 from gradcal_jax.spec.requirement import GyroBiasRequirement
 from gradcal_jax.spec.spec import spec_of

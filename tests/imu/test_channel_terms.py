@@ -11,8 +11,9 @@ import pytest
 from path_scene import spec_of_table
 
 from gradcal_jax.formulas import EARTH_RATE
+from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu
 
 DEG = np.pi / 180.0
 G = 9.80665

@@ -14,8 +14,9 @@ from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.formulas import runs
 from gradcal_jax.information import Posterior, segments_of, whiten
-from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import residual_of
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import frames
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.changes import changed
@@ -233,8 +234,8 @@ def test_the_residual_about_an_estimate_is_what_a_correction_leaves(kind, quanti
     )
     about, known = np.linalg.solve(model.to_reported, values), Posterior(spread, np.zeros((model.size, 0)))
     (requirement,) = (r for r in spec.requirement if r.quantity == f"{kind}_{quantity}")
-    left = quantity_of(built._replace(about=about), requirement).residual(known)
-    plain = quantity_of(built, requirement).residual(known)
+    left = residual_of(built._replace(about=about), requirement).map(known)
+    plain = residual_of(built, requirement).map(known)
 
     def matrix(values: np.ndarray, temperature: float) -> np.ndarray:
         of, x = dict(zip(names, values, strict=True)), (temperature - 20.0) / 50.0
@@ -316,7 +317,7 @@ def test_three_hundred_units_err_as_predicted(plan, mrad):
     """
     spec = scene(plan, mrad)
     built = build_imu(spec)
-    quantities = [quantity_of(built, r) for r in spec.requirement]
+    quantities = [residual_of(built, r) for r in spec.requirement]
     square, expected, nees, chi, degrees = [], [], [], [], []
     for seed in range(UNITS):
         report, truth = estimated(spec, (1000 if mrad < 0.5 else 5000) + seed)

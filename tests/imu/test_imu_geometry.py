@@ -46,7 +46,3 @@ def test_the_encoders_part_in_every_row_is_a_derivative_too(seed, axes, mounting
     if axes > 1:
         outer = np.array([scene.steps[k].axis == 0 for k in segment]) & (channel < 3)
         assert np.max(np.abs(rows[outer][:, axes - 1])) > 1.0
-
-
-# Of every number: its size.
-# The bias of gyro y, misalignments of gyro z, all of accelerometer x.

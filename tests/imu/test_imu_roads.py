@@ -9,7 +9,8 @@ from imu_helpers import shipped
 from random_imus import motion, nodes_of, random_scene, system_of, unit_of
 from reference_imu import Scene, Simulator
 
-from gradcal_jax.information.imu_rows import imu_information, imu_system
+from gradcal_jax.information.imu_rows import imu_system
+from gradcal_jax.information.plan_information import imu_information
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import spec_of

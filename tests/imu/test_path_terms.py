@@ -8,7 +8,8 @@ from path_scene import LEVEL, MOVES, fine, spec_of_table
 
 from gradcal_jax.estimation.executed_nodes import turning_points
 from gradcal_jax.formulas import play_states
-from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.spec.spec_sections import Spec
 
 DEG = np.pi / 180.0

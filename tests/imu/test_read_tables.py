@@ -8,7 +8,8 @@ from estimate_scenes import aligned, draw_truth, record, scene
 from scipy.stats import chi2
 
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 

@@ -14,7 +14,8 @@ from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ImuRows
 from gradcal_jax.estimation.imu_solve import absorbed
 from gradcal_jax.information import imu_system, whiten
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import Geometry, frames
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec import presets

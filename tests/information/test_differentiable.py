@@ -9,8 +9,9 @@ import pytest
 from search_problem import SPEC, coarse
 
 import gradcal_jax as gj
+from gradcal_jax.information.plan_information import plan_information
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.model.build import build_imu, plan_information
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec import parse_spec
 
@@ -122,6 +123,11 @@ def test_many_at_once_are_one_after_the_other(residual):
 def test_what_the_spec_has_not_is_said(spec, residual):
     with pytest.raises(ValueError, match="has no 'angle random wlak': it has angle random walk"):
         residual({"angle random wlak": 1.0})
+    bins = {"sensor.gyro.scale_factor.rate": {"knots": ["-300 deg/s", "0 deg/s", "300 deg/s"], "degree": 0}}
+    divided = gj.differentiable(changed(spec, bins))
+    assert "peak rates" not in divided.quantities
+    with pytest.raises(ValueError, match=r"'peak rates' moves the plan across the edges of bins.*polynomial"):
+        divided({"peak rates": divided.own["peak rates"]})
     with pytest.raises(ValueError, match="no \\[\\[requirement\\]\\]"):
         gj.differentiable(changed(spec, {"requirement": [], "design": None}))
 

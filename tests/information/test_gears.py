@@ -13,8 +13,10 @@ from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information.error_budget import ErrorBudget
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
-from gradcal_jax.information.imu_residual import imu_residual
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import residual_map
+from gradcal_jax.information.unseen import budget_of_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -117,7 +119,7 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
     """By differences: what a standard deviation that is a per cent larger adds to a residual."""
     spec, most = stated(scene("two axes", 0.1), {"scale_error": "300 ppm", "backlash": "0.05 deg"}), 0.0
     for requirement in (r for r in spec.requirement if "misalignment" in r.name):
-        shares = ErrorBudget(built := build_imu(spec), imu_posterior(built)).shares(requirement)
+        shares = ErrorBudget(budget_of_imu(built := build_imu(spec), imu_posterior(built), built)).of_fit(requirement)
         assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)
 
         def left(scale: float = 1.0, lash: float = 1.0, noise: float = 1.0, requirement=requirement, built=built):
@@ -127,7 +129,7 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
             )
             by = [(scale * s, lash * b) for s, b in built.gears]
             one = built._replace(gears=by, model=replace(built.model, channels=channels))
-            return np.log(imu_residual(one, imu_posterior(one), requirement).statistic())
+            return np.log(residual_map(one, imu_posterior(one), requirement).statistic())
 
         for error, named in (("scale", SCALE_OF_ANGLE), ("lash", BACKLASH), ("noise", "angle random walk")):
             slope = (left(**{error: 1.01}) - left(**{error: 1.0 / 1.01})) / (2.0 * np.log(1.01))

@@ -13,8 +13,9 @@ from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.findings import omitted_sentences, wrapped_sentence
 from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.information import imu_system, segments_of
-from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.information.plan_information import imu_posterior
+from gradcal_jax.information.residual import residual_of
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import turns_of
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec.absent import absent_terms, with_typical
@@ -198,9 +199,9 @@ def test_a_lag_and_a_gradient_count_by_what_they_leave_in_the_estimate_of_this_p
     shift = np.linalg.solve(rows.T @ weighed[:, :-1] + prior.T @ prior, rows.T @ weighed[:, -1])
     ours, plain = (gj.predict(s).requirements for s in (named, spec))
     for row, without_it, requirement in zip(ours, plain, spec.requirement, strict=True):
-        quantity = quantity_of(built, requirement)
+        quantity = residual_of(built, requirement)
         (element,) = quantity.elements
-        exact = quantity.residual(imu_posterior(built)).values.ravel()
+        exact = quantity.map(imu_posterior(built)).values.ravel()
         unit = 1e6 if requirement.name == "M" else 1.0 / DEG_PER_H
         wanted = np.hypot(exact, element.rows[0] @ shift[element.where] * unit)
         assert row.max == pytest.approx(np.max(wanted), rel=1e-6)

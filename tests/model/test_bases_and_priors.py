@@ -7,7 +7,7 @@ from helpers import encoder, gyro_x, scale_map
 from numpy.polynomial import legendre
 
 from gradcal_jax import model as models
-from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Bins, BSpline, GradientOfBias, Polynomial
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, BSpline, GradientOfBias, Polynomial
 from gradcal_jax.model.terms import make_map
 
 X = np.linspace(-60.0, 95.0, 9)
@@ -24,7 +24,7 @@ def test_reported_coefficients_are_those_of_the_normalised_monomials(degree):
 
 
 @pytest.mark.parametrize(
-    "basis", [Polynomial(3, 20.0, 50.0), BSpline((-40.0, 0.0, 85.0), 2), Bins((-40.0, 0.0, 30.0, 85.0))]
+    "basis", [Polynomial(3, 20.0, 50.0), BSpline((-40.0, 0.0, 85.0), 2), BSpline((-40.0, 0.0, 30.0, 85.0), 0)]
 )
 def test_every_basis_holds_the_constant(basis):
     inside = X[(X >= -40.0) & (X <= 85.0)]
@@ -37,8 +37,8 @@ def test_every_basis_holds_the_constant(basis):
         (lambda: Polynomial(-1, 0.0, 1.0), "degree of a polynomial must be 0 or more"),
         (lambda: Polynomial(2, 0.0, 0.0), "half the range"),
         (lambda: BSpline((0.0, 0.0, 1.0)), "knots in increasing order"),
-        (lambda: Bins((1.0,)), "two edges"),
-        (lambda: make_map(Bins((0.0, 1.0)), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
+        (lambda: BSpline((1.0,), 0), "at least two knots"),
+        (lambda: make_map(BSpline((0.0, 1.0), 0), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
         (lambda: make_map(Polynomial(3, 0.0, 1.0), discrepancy=(1e-4, 3, 0)), "exceed the model's"),
         (lambda: gyro_x(()), "a bias map, a scale-factor map, or both"),
     ],
@@ -51,7 +51,7 @@ def test_what_makes_no_sense_is_refused_with_the_mend(make, says):
 def test_terms_follow_one_another_with_rows_of_one_over_their_prior():
     bias = make_map(Polynomial(3, 20.0, 50.0), prior_std=1e-3, numbered=True)
     scale = scale_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-4, 2, 3))
-    of = gyro_x((bias, scale, GradientOfBias(std=np.asarray(3e-6), has_prior=True)))
+    of = gyro_x((bias, scale, GradientOfBias(std=3e-6)))
     groups = [of.where(name) for name in (BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, "scale_factor_discrepancy")]
     # Of the discrepancy: one more degree in T times four in ω, and one more in ω times the two in T.
     assert [s.stop - s.start for s in groups] == [4, 6, 1, 1 * 4 + 2 * 1]
@@ -69,7 +69,7 @@ def test_terms_follow_one_another_with_rows_of_one_over_their_prior():
 
 def test_smoothness_joins_neighbours():
     """Bins in rate have neighbours, powers of temperature have none: differences of reported coefficients by bin."""
-    of = make_map(Polynomial(2, 20.0, 50.0), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
+    of = make_map(Polynomial(2, 20.0, 50.0), BSpline((-1.0, 0.0, 0.5, 1.0), 0), smoothness_std=0.5)
     reported = np.random.default_rng(3).standard_normal((3, 3))  # power of temperature, bin
     engine = np.linalg.solve(of.to_reported, reported.ravel())
     rows = of.prior_rows()

@@ -6,11 +6,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.information import imu_information
-from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.information.plan_information import imu_information, imu_posterior
 from gradcal_jax.information.prediction import predict as predict_spec
+from gradcal_jax.information.residual import residual_of
 from gradcal_jax.information.sensitivity import sensitivity
-from gradcal_jax.model.build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.spec import read_spec
 
 _SPEC = Path(__file__).resolve().parents[2] / "paper" / "dynamic_gradient.toml"
@@ -32,7 +32,7 @@ def predict(asked: dict) -> dict:
     jax.config.update("jax_enable_x64", True)
     spec = read_spec(_SPEC)
     built = build_imu(spec)
-    quantity = quantity_of(built, spec.requirement[0])
+    quantity = residual_of(built, spec.requirement[0])
 
     def information():
         return imu_information(built.motion, built.model, built.body_nodes())[0]

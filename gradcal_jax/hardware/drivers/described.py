@@ -167,8 +167,7 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
         fastest = math.inf if said.fastest is None else float(said.fastest) * 60.0
         ramps, unit = "ramp" in self._said.tell, self._said.units.ramp
         step = units.convert(self._speaker.step_of("ramp"), unit, "K/min") if ramps else 0.0
-        resolution = self._speaker.step_of("setpoint") or float(said.resolution)
-        return roles.ChamberLimits(lowest, highest, resolution, ramps, slowest, fastest, step)
+        return roles.ChamberLimits(lowest, highest, ramps, slowest, fastest, step)
 
     def read(self) -> roles.ChamberReading:
         states = self._fields_of("conditioning", "program")

@@ -9,7 +9,7 @@ from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.described import DescribedOptions
 from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
 from gradcal_jax.hardware.frames import FramedSensor
-from gradcal_jax.hardware.roles import Identity, ImuDecoder, ImuSettings, KeptSettings
+from gradcal_jax.hardware.roles import Identity, ImuDecoder, ImuSettings
 from gradcal_jax.hardware.text_unit import TextSensor
 from gradcal_jax.hardware.transport import Transport
 
@@ -52,7 +52,6 @@ class ListeningImu:
     def __init__(self, line: Transport, clock: Clock, config: ListeningConfig) -> None:
         self._line, self._clock, self._config, self._said = line, clock, config, config.described
         self._ready_s = clock.now() + float(self._said.boot)
-        self.settings = KeptSettings()
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._line.read_stamped(timeout_s)
@@ -69,8 +68,6 @@ class ListeningImu:
         return ImuSettings(float(self._said.rate), self._said.expected)
 
     def start(self) -> None: ...
-
-    def stop(self) -> None: ...
 
     def _listen(self) -> None:
         """Wait for samples. Raises with what the unit sent instead."""

@@ -86,7 +86,7 @@ class SimulatedChamber(ChamberDriver):
 
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
         self.plant, self._clock, self._title = plant, clock, "simulated chamber"
-        self._limits = roles.ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
+        self._limits = roles.ChamberLimits(lowest_c, highest_c, hardware_ramp=True)
         self.alarms: tuple[str, ...] = ()
 
     def identify(self) -> roles.Identity:
@@ -259,7 +259,6 @@ class SimulatedStream:
     def __init__(self, sensor: SampledSensor, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
         self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
         self.serial = serial
-        self.settings = roles.KeptSettings()
         self._rate_hz = float(config.described.rate)
 
     def identify(self) -> roles.Identity:
@@ -270,8 +269,6 @@ class SimulatedStream:
 
     def start(self) -> None:
         self.sensor.restart(self._clock.now(), self._rate_hz)
-
-    def stop(self) -> None: ...
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         ahead = max(1, round(self._burst_s / self.sensor.true_period_s))
@@ -369,7 +366,7 @@ class SimulatedLab:
         if spec.rig.chamber.control == "none":
             del tables["chamber"]
         self.rig = rig_of(tables)
-        self.bench = Bench(self.rig, simulated=True)
+        self.bench = Bench(self.rig)
         if spec.rig.chamber.control == "chamber":
             self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
         told = spec.rig.table.by_gravity

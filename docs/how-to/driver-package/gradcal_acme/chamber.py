@@ -31,7 +31,7 @@ class AcmeChamber(ChamberDriver):
         return Identity("acme", "ACME 1", serial_number=f"{self._number('SN?'):.0f}")
 
     def limits(self) -> ChamberLimits:
-        return ChamberLimits(float(self._config.lowest), float(self._config.highest), 0.1, hardware_ramp=False)
+        return ChamberLimits(float(self._config.lowest), float(self._config.highest), hardware_ramp=False)
 
     def read(self) -> ChamberReading:
         air, setpoint, on = (self._number(question) for question in ("T?", "SP?", "ON?"))

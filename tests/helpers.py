@@ -129,12 +129,11 @@ def one_axis(
     geometry = NoEarth(np.eye(3)[:1], np.eye(3), np.eye(3)[None], np.zeros(()), np.zeros(()))
     axis = np.where(line.moving, 0, -1)
     waves = max((order for term in installation for order in term.orders), default=0)
-    how = (waves or None, 16)
-    motion = trajectory.table_motion(line, axis, np.zeros(len(axis), int), geometry, np.zeros(1), *how)
+    motion = trajectory.table_motion(line, axis, np.zeros(len(axis), int), geometry, np.zeros(1), waves or None, 16)
     maps = [term for term in gyro.terms if isinstance(term, models.Map)]
     warm = tuple(sorted({b for term in maps for b in term.temperature.breaks}))
     fast = tuple(sorted({b for term in maps if term.rate is not None for b in term.rate.breaks}))
-    motion = trajectory.divided_motion(motion, warm, {0: fast} if fast else {}, *how)
+    motion = trajectory.divided_motion(motion, warm, {0: fast} if fast else {})
     model = ImuModel((gyro,), installation, encoder)
     return Engine(motion, model, trajectory.body_nodes(motion, 16))
 

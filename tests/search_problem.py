@@ -16,12 +16,6 @@ def exact(spec: Spec) -> float:
     return of.shown(of.left(spec))
 
 
-def targets_met(spec: Spec) -> bool:
-    """Whether the spec's own plan meets every target with the margin of `--until-met`."""
-    of = ExactObjective(spec)
-    return of.met(of.left(spec))
-
-
 IMU = Path(__file__).parents[1] / "experiments" / "imu"
 LINE = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 
@@ -99,7 +93,7 @@ max_acceleration = "300 deg/s^2"
 travel           = "unlimited"
 [rig.table.axis.angle]
 reading_noise = "0.05 deg"
-read_every = "20 s"
+read_every = "5 s"
 [rig.chamber]
 range       = ["-40 degC", "85 degC"]
 max_heating = "2 K/min"

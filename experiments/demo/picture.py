@@ -25,8 +25,10 @@ def main(folder: Path) -> None:
     values = np.concatenate([left.values[0].ravel() for left in stages.values()])
     colours = LogNorm(np.min(values), np.max(values))
     for ax, (stage, left) in zip(axes.flat, stages.items(), strict=False):
-        drawn = plots.draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, title=stage, ax=ax)
-        drawn.mesh.set_norm(colours)
+        _, mesh = plots.draw_map(
+            left.temperatures, np.degrees(left.rates), left.values[0], left.unit, title=stage, ax=ax
+        )
+        mesh.set_norm(colours)
     plots.draw_curves([box for stage, left in stages.items() for box in boxes_of(left, stage)], ax=axes[1, 1])
     figure.savefig(Path(__file__).with_name("residual.png"), dpi=100)
 

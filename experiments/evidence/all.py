@@ -107,6 +107,13 @@ def _machine() -> str:
     return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
+def stamped(report: Report, text: str, seconds: float) -> str:
+    """The text of a report with the line that names today's program, the machine and the duration."""
+    program = f"Program {_commit()} (rooms {digest_of_rooms(report.rooms)}), {time.strftime('%Y-%m-%d')}"
+    plain = _STAMP.sub("", text).rstrip("\n")
+    return f"{plain}\n\n{program}, {_machine()}, {seconds:.0f} s.\n"
+
+
 def make(report: Report) -> bool:
     """Run the report's proofs and stamp it; False, without a stamp, if a proof failed."""
     words = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "load", "-m", "evidence", *report.tests]
@@ -114,16 +121,15 @@ def make(report: Report) -> bool:
         words = [sys.executable, *report.tests]
     if report.name == "proofs":
         words += ["--report", str(report.path)]
-    commit, digest, started = _commit(), digest_of_rooms(report.rooms), time.monotonic()
+    digest, started = digest_of_rooms(report.rooms), time.monotonic()
     # Rows of an older program do not stay.
     report.path.unlink(missing_ok=True)
     passed = subprocess.run(words, cwd=ROOT, check=False).returncode == 0
-    if not passed or not report.path.exists():
+    # (Of a program that changed meanwhile nothing is proven.)
+    if not passed or not report.path.exists() or digest != digest_of_rooms(report.rooms):
         return False
-    text = _STAMP.sub("", report.path.read_text(encoding="utf-8")).rstrip("\n")
-    seconds = time.monotonic() - started
-    stamp = f"Program {commit} (rooms {digest}), {time.strftime('%Y-%m-%d')}, {_machine()}, {seconds:.0f} s."
-    report.path.write_text(f"{text}\n\n{stamp}\n", encoding="utf-8")
+    text = stamped(report, report.path.read_text(encoding="utf-8"), time.monotonic() - started)
+    report.path.write_text(text, encoding="utf-8")
     return True
 
 

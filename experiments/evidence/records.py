@@ -1,14 +1,16 @@
-"""Which rule catches which record of the zoo (tests/records/recording_zoo.py): `records.md`, made by all.py.
+"""Which rule catches which record of the zoo (tests/records/recording_zoo.py): `records.md`.
 
-    python experiments/evidence/all.py records
+    python experiments/evidence/records.py
 
 A rule is the kind of a finding, the function that asks a question, or the beginning of a note of the noise's fit. A
 record that a rule catches alone would pass in silence without it.
 """
 
+import importlib
 import re
 import sys
 import tempfile
+import time
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -81,4 +83,6 @@ def report() -> str:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    Path(__file__).with_suffix(".md").write_text(report(), encoding="utf-8")
+    started, reports = time.monotonic(), importlib.import_module("all")
+    (own,) = (one for one in reports.ALL if one.name == "records")
+    own.path.write_text(reports.stamped(own, report(), time.monotonic() - started), encoding="utf-8")

@@ -59,7 +59,7 @@ def noise(
 
     of_unit = 0 if unit is None else unit
     done = []
-    for name in work.axes_asked_for(recorded, axis):
+    for name in axis or recorded.axes:
         rest = work.at_rest(recorded, name, of_unit, without=left_out)
         rest.walk_of_sensor(0.0)  # asks before anything is printed
         done.append((rest, *work.allan_of(rest), work.instability(rest)))

@@ -14,7 +14,7 @@ from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Table
 
 if TYPE_CHECKING:
-    from gradcal_jax.design.searching import Optimised
+    from gradcal_jax.design.optimise import Optimised
     from gradcal_jax.spec.spec_sections import Spec
 
 _HEADER = (
@@ -67,8 +67,8 @@ def optimise(
     specification = spec_in(spec)
     writable(output, force)
     use_float64()
+    from gradcal_jax.design.optimise import record_of
     from gradcal_jax.design.recipe_of_plan import make_recipe
-    from gradcal_jax.design.searching import record_of
     from gradcal_jax.tables.writing import write_toml
 
     best, interrupted, status = None, False, ""
@@ -92,8 +92,7 @@ def optimise(
 def search_and_watch(spec: "Spec", **options: Any) -> tuple["Optimised", bool]:
     """The best plan, with a line of progress; and whether Ctrl-C ended the search. `options`: of
     `design.optimise.run_search`."""
-    from gradcal_jax.design.optimise import run_search
-    from gradcal_jax.design.searching import Optimised
+    from gradcal_jax.design.optimise import Optimised, run_search
 
     best: Optimised | None = None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:

@@ -37,7 +37,7 @@ class ProgrammeCoordinates(NamedTuple):
     stretches: int
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
-        """The programme of a vector, after its soak."""
+        """The programme of a vector: its soak, and the stretches."""
         timed, sloped, first = z[: self.stretches], z[self.stretches : -1], z[-1]
         xp = namespace(z)
         least = _LEAST_SHARE * self.time / self.stretches
@@ -45,19 +45,13 @@ class ProgrammeCoordinates(NamedTuple):
         durations = least + (self.time - self.stretches * least) * weight / xp.sum(weight)
         slopes = 0.5 * (self.heating - self.cooling) + 0.5 * (self.heating + self.cooling) * xp.tanh(sloped)
         here = self.coldest + (self.warmest - self.coldest) * 0.5 * (1.0 + xp.tanh(0.5 * first))
-        start, reached = here, []
+        start, reached = here, [xp.zeros(())]
         for k in range(self.stretches):
             there = xp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
             reached.append((there - here) / durations[k])
             here = there
-        return Programme(xp.asarray(start), durations, xp.stack(reached), xp.zeros(durations.shape))
-
-    def whole(self, z: Float[AnyArray, " size"]) -> Programme:
-        """The programme of a vector with its soak."""
-        of, xp = self.programme(z), namespace(z)
-        durations = xp.concatenate([xp.asarray([self.soak]), of.durations])
-        slopes = xp.concatenate([xp.zeros(1), of.slopes])
-        return Programme(of.start, durations, slopes, xp.zeros(slopes.shape))
+        lasting = xp.concatenate([xp.asarray([self.soak]), durations])
+        return Programme(xp.asarray(start), lasting, xp.stack(reached), xp.zeros(lasting.shape))
 
     def vector(self, start: float, durations: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, " size"]:
         """Coordinates of a programme of at most `stretches` slopes (°C, s, K/s), the longest ones halved as often as
@@ -88,8 +82,7 @@ class ProgrammeCoordinates(NamedTuple):
 
     def knots(self, z: Float[np.ndarray, " size"]) -> np.ndarray:
         """Where the slopes begin and end, °C."""
-        of = self.programme(z)
-        return np.append(of.start, of.chamber()[1])
+        return self.programme(z).chamber()[1]
 
     def keys(self, z: Float[np.ndarray, " size"], steps: ControllerSteps) -> dict[str, Any]:
         """The keys of a spec's course: stretches at slopes and temperatures of the controller's steps, no steeper than
@@ -101,7 +94,7 @@ class ProgrammeCoordinates(NamedTuple):
 
     def _stretches(self, here: float, z: np.ndarray, steps: ControllerSteps) -> list[dict[str, object]]:
         """Ramps and soaks. The next stretch compensates the rounding of one; one that rounds to nothing is a soak."""
-        ends, goals = np.cumsum(self.programme(z).durations), self.knots(z)[1:]
+        ends, goals = np.cumsum(self.programme(z).durations[1:]), self.knots(z)[1:]
         slope_step, step = float(steps.slope), float(steps.temperature)
         items: list[dict[str, object]] = []
         written_s, went_up = 0.0, False

@@ -11,15 +11,14 @@ from gradcal_jax.design.course import ProgrammeCoordinates
 from gradcal_jax.design.cycle_rounding import CycleRounding
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.plan_objective import ExactObjective
-from gradcal_jax.design.plan_value import PlanValue, largest_alike
+from gradcal_jax.design.plan_value import PlanValue
 from gradcal_jax.design.slots import EMPTY, Cycle, CycleCoordinates, SlotTurn, Structure, TableLimits, Visits
-from gradcal_jax.design.visits import VisitTimes, cycle_in_visits, rest_spacing, shortest_rest
+from gradcal_jax.design.visits import VisitTimes, cycle_in_visits, shortest_rest, slot_turns
 from gradcal_jax.model import OwnTerm
-from gradcal_jax.model.build import waves_of
 from gradcal_jax.recipe.tracks import makeable_acceleration, steps_of
 from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.plan import MotionPlan
-from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import Problem, SpecError
 
@@ -29,7 +28,7 @@ _MOST_TURNS = 80
 # Legs of a free course at least; of a table that stands.
 _LEGS, _LEGS_AT_REST = 4, 6
 # Turns up to this (rad) are tried, or up to the largest one of the file's plan.
-_LARGEST = 6.0 * math.pi
+_LARGEST = 7.35 * math.pi
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 # A turn by time shorter than this (s) is left out.
@@ -72,9 +71,9 @@ class CyclePlan:
         if not self.turns_free and self.course is None:
             raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
         turns = _cycle_of(spec) if plain else (EMPTY,)
-        self.limits = _limits(exact, turns)
+        self.limits = _limits(spec, self.design, turns)
         if times is not None:
-            self.limits = self.limits._replace(largest=_UNBOUNDED, longest=_UNBOUNDED, read_every=rest_spacing(spec))
+            self.limits = self.limits._replace(largest=_UNBOUNDED, longest=_UNBOUNDED)
             visits, turns = cycle_in_visits(spec, times, self.limits)
             spare = 0.0 if self._repeats else (stretches[0].duration - visits.period) / visits.number
         else:
@@ -86,7 +85,11 @@ class CyclePlan:
         self.coordinates = CycleCoordinates(self.limits, visits, timed, closed)
         axes = tuple(axis.name for axis in spec.rig.table.axis)
         self.rounding = CycleRounding(self.limits, axes, float(steps_of(spec).time), closed)
-        own = np.zeros(0) if self.course is None else self.course.vector(*self._own_course())
+        own = np.zeros(0)
+        if self.course is not None:
+            ramps = [s for s in self._schedule.segments if s.kind == "ramp"]
+            durations, slopes = np.array([(s.duration, s.slope) for s in ramps]).T
+            own = self.course.vector(ramps[0].temperature_start, durations, slopes)
         self.start = Proposal(turns, tuple(own.tolist()))
         self.value = PlanValue(exact, self._schedule, self.coordinates, self.course, spare, self._repeats, self.stands)
         self.descent = Descent(self.value)
@@ -116,11 +119,6 @@ class CyclePlan:
         numbers = (soak, time, *chamber.range, chamber.max_heating, chamber.max_cooling)
         legs = max(len(ramps), _LEGS_AT_REST if self.stands else _LEGS)
         return ProgrammeCoordinates(*map(float, numbers), stretches=legs)
-
-    def _own_course(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Where the plan's ramps begin (°C), their durations (s) and slopes (K/s)."""
-        ramps = [s for s in self._schedule.segments if s.kind == "ramp"]
-        return ramps[0].temperature_start, np.array([s.duration for s in ramps]), np.array([s.slope for s in ramps])
 
     def starts(self) -> list[Proposal]:
         """What a search begins with: the file's plan and, of a free course, others of the chamber."""
@@ -161,31 +159,25 @@ class CyclePlan:
 
     def in_words(self, of: Proposal) -> str:
         """The structure of a proposal and its course."""
-        words, visits = f"{len(of.turns)} turns in each of {self.cycles} cycles", self.coordinates.visits
+        words, visits = f"{len(of.turns)} turns", self.coordinates.visits
         if self._times is not None:
-            kind = "the same moves in each cycle" if self._repeats else "each with its own moves"
-            words = f"{visits.number * self.cycles} visits of {visits.own:.0f} s, {kind}"
+            words = f"{visits.number} visits of {visits.own:.0f} s, each with its own moves"
+        words += f" in each of {self.cycles} cycles" if self.cycles > 1 else ""
         if self.course is None:
             return words
-        knots = self.course.knots(np.array(of.course)).tolist()
-        turning = [b for a, b, c in zip(knots, knots[1:], knots[2:], strict=False) if (b - a) * (c - b) <= 0.0]
-        course = " \u2192 ".join(f"{t:.3g}" for t in (knots[0], *turning, knots[-1]))
+        course = " \u2192 ".join(f"{t:.3g}" for t in self.course.knots(np.array(of.course)))
         return f"{'the table is at rest' if self.stands else words}; the chamber goes {course} degC"
 
     def spec_of(self, of: Proposal) -> Spec:
         """The spec with a proposal's moves and course, in numbers that a controller takes."""
-        spec = self.spec
-        if self.course is not None:
-            spec = changed(spec, self.course.keys(np.array(of.course), steps_of(spec)))
-        if self.stands:
-            return spec
+        keys = {} if self.course is None else self.course.keys(np.array(of.course), steps_of(self.spec))
         if self._times is not None:
-            return changed(spec, self._keys_of_visits(of.turns))
-        tables = spec.model_dump(mode="json", exclude_unset=True)
-        whole = self.coordinates.structure(of.turns).whole
-        rounded = self.rounding.rounded(of.turns, self.coordinates.visits.own, whole)
-        tables["plan"]["cycle"]["moves"] = self.rounding.moves(rounded)
-        return spec_of(tables)
+            keys |= self._keys_of_visits(of.turns)
+        elif not self.stands:
+            whole = self.coordinates.structure(of.turns).whole
+            turns = self.rounding.rounded(of.turns, self.coordinates.visits.own, self.limits.start, whole)
+            keys["plan.cycle.moves"] = self.rounding.moves(turns)
+        return changed(self.spec, keys)
 
     def _keys_of_visits(self, turns: Cycle) -> dict[str, Any]:
         """The keys of a plan whose axis has the table in visits."""
@@ -201,53 +193,36 @@ class CyclePlan:
             behind = wait
             if visits.other and number < len(parts) - 1:
                 moves.append({"rest": f"{wait:.9g} s", "other_axes": True} | ({} if reads else {"read_every": "none"}))
-        every, table = self.limits.read_every, float(self.spec.rig.table.axis[0].angle.read_every)
         cycle: dict[str, Any] = {"moves": moves}
         if visits.other:
-            spacing = {"read_every": f"{every:.9g} s"} if reads else {}
+            spacing = {"read_every": f"{self.limits.read_every:.9g} s"} if reads else {}
             cycle["other_axes"] = {"duration": f"{behind:.9g} s"} | spacing
-        spaced = {} if every == table else {"rig.table.axis[0].angle.read_every": f"{every:.9g} s"}
-        return {"plan.cycle": cycle, **spaced}
+        return {"plan.cycle": cycle}
 
 
 def _cycle_of(spec: Spec) -> Cycle:
-    """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
-    turns: list[SlotTurn] = []
-    begins = 0.0
-    for s in spec.plain_schedule.steps:
-        if s.axis >= 0:
-            turns.append(SlotTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
-        elif turns:
-            turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
-        else:
-            begins += s.move.duration
-    if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
-        turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
-    elif begins:
-        turns.insert(0, SlotTurn(-1, 0.0, 0.0, begins))
+    """The spec's own cycle: a rest belongs to the turn before it, the first one of repeated cycles to the last turn."""
+    first, *turns = slot_turns(spec.plain_schedule.steps)
+    if first.rest and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
+        turns[-1] = turns[-1]._replace(rest=turns[-1].rest + first.rest)
+    elif first.rest:
+        turns.insert(0, first)
     return tuple(turns)
 
 
-def _limits(exact: ExactObjective, start: Cycle) -> TableLimits:
-    """The strictest limits of the table at all places of a fixture, and of the turns and rests of a cycle."""
-    spec, design = exact.builts[0].spec, exact.design
-    step = steps_of(spec).acceleration
-    rates, accelerations, reach = [], [], []
-    for built in exact.builts:
-        axes, gyro = built.spec.rig.table.axis, built.spec.sensor.gyro
-        usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
-        rates.append([min(float(a.max_rate), usable) for a in axes])
-        steepest = [float(a.max_acceleration) for a in axes]
-        accelerations.append([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest])
-        reach.append([a.reach for a in axes])
-    low, high = np.moveaxis(np.array(reach, dtype=float), -1, 0)
+def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
+    """The limits of the table, and of the turns and rests of a cycle."""
+    table, step, gyro = spec.rig.table, steps_of(spec).acceleration, spec.sensor.gyro
+    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
+    steepest = [float(axis.max_acceleration) for axis in table.axis]
+    makeable = [makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]
     return TableLimits(
-        np.min(rates, axis=0),
-        np.min(accelerations, axis=0),
-        np.stack([np.max(low, axis=0), np.min(high, axis=0)], axis=1),
+        np.minimum([float(axis.max_rate) for axis in table.axis], usable),
+        np.array(makeable),
+        np.array([axis.reach for axis in table.axis], dtype=float),
         np.array(spec.executable_schedule.start, dtype=float),
-        largest_alike(max([_LARGEST, *(abs(t.angle) for t in start)]), waves_of(spec)),
+        max([_LARGEST, *(abs(t.angle) for t in start)]),
         shortest_rest(spec, design),
         max([float(design.longest_rest), *(t.rest for t in start)]),
-        float(spec.rig.table.axis[0].angle.read_every) if spec.rig.table.standing == "read" else math.inf,
+        float(table.axis[0].angle.read_every) if table.standing == "read" else math.inf,
     )

@@ -13,30 +13,31 @@ one axis, readings, drift and clock count, too; the errors of an encoder that ot
 from itertools import pairwise
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import scipy.linalg
 
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
-    Course,
     Windows,
-    bias_seen_continuously,
     least_noise_density,
     scale_factor_floor,
+    seen_continuously,
 )
-from gradcal_jax.design.relaxed_limit import Limit, RelaxedProblem, relaxed_limit
+from gradcal_jax.design.relaxed_limit import RelaxedProblem, relaxed_limit
 from gradcal_jax.design.slots import LEAST_TURN
 from gradcal_jax.design.visits import motion_time, with_motion
+from gradcal_jax.formulas import lagged_temperature
 from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.information.residual import residual_map, residual_of, statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
-from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
+from gradcal_jax.model.build import build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.requirement import Requirement
-from gradcal_jax.spec.schedule import PlanSchedule, Stretch
+from gradcal_jax.spec.schedule import PlanSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -45,6 +46,8 @@ from gradcal_jax.units import time_text
 # Windows at most at whose times alone a proof lets the axis turn; equal parts of the time at the table, at least.
 _MOST_WINDOWS = 40
 _PARTS = 48
+# Temperatures on which a maximum over temperature is searched.
+_TEMPERATURES = 26
 _AT_KNOT = 1e-6
 # An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
@@ -56,7 +59,7 @@ _RELAXED = (
 
 
 class PlanLimit(NamedTuple):
-    """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
+    """No plan leaves less than `certified` (`unit`) of a requirement.
 
     `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
     of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words. All of that
@@ -67,7 +70,6 @@ class PlanLimit(NamedTuple):
     statistic: str
     unit: str
     certified: float
-    reached: float
     value: float | None
     efficiency: float | None
     relaxed: tuple[str, ...]
@@ -76,11 +78,9 @@ class PlanLimit(NamedTuple):
     __repr__ = summary
 
 
-def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
-    """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
-    plan that has a proof.
-
-    `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
+def limit(spec: Spec) -> list[PlanLimit]:
+    """The proven lower limit on the residual of any plan on this rig in this time, or in [design]'s, for every
+    requirement of a gradient plan that has a proof; values and efficiencies are the plan's.
 
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
@@ -88,22 +88,19 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     if not spec.requirement:
         raise ValueError("a limit is proven for requirements; the spec has none: add a [[requirement]]")
     design = spec.design or Design()
-    if motion is None and (design.max_motion or design.max_total):
-        motion = motion_time(spec, design)
-    data = _PlanData(build_imu(spec if motion is None else with_motion(spec, motion)))
+    data = _PlanData(with_motion(spec, motion_time(spec, design)) if design.max_motion or design.max_total else spec)
     rows = {row.name: row for row in requirement_rows(spec)}
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     built, floor = floor_of_plan(spec)
     proven: list[PlanLimit] = []
     for r in spec.requirement:
-        if (bound := _bound(data, r)) is None:
+        if (bound := data.bound(r)) is None:
             continue
-        of, relaxed = bound
+        least, relaxed = bound
         (unit, factor), value = UNIT_OF[r.quantity], rows[r.name].decisive
-        hidden = float(np.min(residual_map(built, floor, r).values))
-        certified, best = (float(np.hypot(factor * value, hidden)) for value in of)
+        certified = float(np.hypot(factor * least, np.min(residual_map(built, floor, r).values)))
         share = None if value is None else certified / value
-        proven.append(PlanLimit(r.name, r.statistic, unit, certified, best, value, share, relaxed, data.kept))
+        proven.append(PlanLimit(r.name, r.statistic, unit, certified, value, share, relaxed, data.kept))
     if not proven:
         raise ValueError(
             "limits are proven for the biases and polynomial scale factors of gyros; the spec has no requirement on "
@@ -113,46 +110,87 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
 
 
 class _PlanData:
-    """The used data of a plan: `windows` (s), divided where the chamber's slope changes; the `chamber`'s programme.
+    """The used data of a plan: `windows` (s), divided where the chamber's slope changes, and `visits`: those in which
+    the gyro's axis may turn, for `turning` s in all; `tied`: at those times alone. `kept`: in words."""
 
-    `visits`: windows in which the gyro's axis may turn, for `turning` s in all; `tied`: at those times alone. `kept`:
-    in words."""
-
-    def __init__(self, built: BuiltImu) -> None:
-        spec, self.built = built.spec, built
-        self.schedule = schedule = spec.gradient_schedule
+    def __init__(self, spec: Spec) -> None:
+        self.spec, self.built, schedule = spec, build_imu(spec), spec.gradient_schedule
         self.chamber: Programme = chamber_programme(schedule)[0]
-        spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
-        self.windows = _between_knots(spans, self.chamber)
+        spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
         time = self.turning = sum(end - begin for begin, end in spans)
-        self.visits, self.tied, same = spans, True, ""
-        if spec.turns_one_gyro and schedule.steps:
-            others = sum(s.move.duration for s in schedule.steps if s.move.other_axes)
-            own = sum(s.move.duration for s in schedule.steps) - others
-            # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
-            if own < schedule.period * (1.0 - 1e-9):
-                visits = [visit for stretch in schedule.stretches for visit in _visits(schedule, stretch)]
-                # A cycle of another length may have a little more or less of the same share.
-                total = sum(end - begin for begin, end in visits)
-                self.turning = max(total, time * own / schedule.period)
-                free = () if spec.design is None else spec.design.free
-                self.tied = "cycle" not in free and len(visits) <= _MOST_WINDOWS
-                if self.tied:
-                    self.visits, same = visits, ", at the same times as in this plan"
+        self.windows, self.visits, self.tied, same = self._between_knots(spans), spans, True, ""
+        own = sum(s.move.duration for s in schedule.steps if not s.move.other_axes)
+        # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
+        if spec.turns_one_gyro and schedule.steps and own < schedule.period * (1.0 - 1e-9):
+            visits = _visits(schedule)
+            # A cycle of another length may have a little more or less of the same share.
+            self.turning = max(sum(end - begin for begin, end in visits), time * own / schedule.period)
+            free = () if spec.design is None else spec.design.free
+            self.tied = "cycle" not in free and len(visits) <= _MOST_WINDOWS
+            if self.tied:
+                self.visits, same = visits, ", at the same times as in this plan"
         at_table = f"{time_text(float(round(self.turning)))} at the table{same}"
         self.kept = (at_table, "the chamber follows the temperatures of this plan")
-        self.course = _sensor_course(self.chamber, built.spec.sensor.lag)
 
-    def spacing(self) -> tuple[float, float]:
-        """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
-        steps, line = (*self.schedule.steps, *self.schedule.after), self.built.motion.line
-        apart = min([LEAST_TURN, *(step.move.duration for step in steps if step.axis >= 0)])
-        stated = [step.move.read_every for step in steps if step.move.read_every is not None]
-        times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
-        between = float(np.min(np.diff(times), initial=np.inf))
-        return min([*np.asarray(self.built.model.encoder.every), *stated, apart, between]), apart
+    def temperature(self, t: np.ndarray) -> np.ndarray:
+        """The sensor's temperature (°C) at times (s)."""
+        of = self.chamber.sensor(self.spec.sensor.lag)
+        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
+        return lagged_temperature(t - of.times[k], of.level[k], of.slope[k], of.excess[k], of.lag_rate)
 
-    def alone(self, channel: Channel) -> bool:
+    def bound(self, requirement: Requirement) -> tuple[float, tuple[str, ...]] | None:
+        """The limit of a requirement, SI, and what its proof leaves out; None where there is no proof."""
+        name = {"gyro_bias": BIAS, "gyro_scale_factor": SCALE_FACTOR}.get(requirement.quantity)
+        if name is None:
+            return None
+        # Of several gyros the first, since all are alike.
+        quantity, model = residual_of(self.built, requirement), self.built.model
+        element = quantity.elements[0]
+        channel = next(c for c in model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
+        of = channel.map(name)
+        if of is None or (name == SCALE_FACTOR and not isinstance(of.rate, Polynomial)):
+            return None
+        carried = ("the calibration contains the discrepancy as far as the data determine it",)
+        more = carried if element.alone is not None else ()
+        rows = np.zeros((len(element.beyond), model.size))
+        rows[:, element.where] = element.rows[0]
+        rows = rows[:, model.where(channel.kind, channel.axis)]
+        across, processes = len(quantity.rates), channel.processes
+        if name == BIAS:
+            at_rest = jax.tree.map(lambda x: np.asarray(x)[np.asarray(processes.rate_gain) == 0.0], processes)
+            noise, prior = (float(channel.angle_random_walk), at_rest), np.asarray(of.prior_rows())
+            rows = rows[:, channel.where(BIAS)]
+            left = seen_continuously(of.temperature, prior, *noise, self.windows, self.temperature, rows)
+            return float(np.asarray(statistic(requirement.statistic, left.reshape(-1, across)))), (*_RELAXED, *more)
+        # Of a channel among others, the noise is white and its clock is one with that of all.
+        density, relaxed = float(channel.angle_random_walk) ** 2, _RELAXED
+        alone = self._alone(channel)
+        if alone:
+            if clock := self.spec.sensor.clock_error:
+                processes = processes + constant(clock, rate_gain=1.0)
+            density, relaxed = self._density_alone(channel)
+        visits, temperatures = self._between_knots(self.visits), quantity.temperatures
+        floor = scale_factor_floor(of, processes, visits, self.temperature, temperatures)
+        kept = np.arange(len(floor))
+        if requirement.statistic in ("max", "mean of max"):
+            # A maximum over fewer temperatures is no larger: a limit of it is one of the whole.
+            kept = np.unique(np.round(np.linspace(0, kept[-1], min(len(kept), _TEMPERATURES))).astype(int))
+        functions = (of,) if of.beyond is None else (of, of.beyond)
+        columns = np.concatenate([rows[:, channel.where(f.name)] for f in functions], axis=1)
+        share = PRIOR_OF_WALK if np.any(floor) else 1.0
+        problem = RelaxedProblem(
+            functions,
+            columns.reshape(-1, across, columns.shape[1])[kept],
+            floor[kept],
+            requirement.statistic,
+            np.asarray(scipy.linalg.block_diag(*(np.asarray(f.prior_rows()) / np.sqrt(share) for f in functions))),
+            self.temperature(_middles_of_parts(self.visits)),
+            self._fastest(alone=alone),
+            self.turning / density,
+        )
+        return relaxed_limit(problem), (*relaxed, *more)
+
+    def _alone(self, channel: Channel) -> bool:
         """Whether the unit is one gyro along the table's only axis."""
         geometry = self.built.motion.geometry
         if len(self.built.model.channels) > 1 or geometry.axis_count > 1 or len(geometry.mountings) > 1:
@@ -160,92 +198,49 @@ class _PlanData:
         along = (geometry.axes[0] @ geometry.mountings[0])[channel.axis]
         return bool(abs(along) > 1.0 - _ALONG)
 
-    def fastest(self, *, alone: bool) -> float:
+    def _fastest(self, *, alone: bool) -> float:
         """The largest rate of a gyro, rad/s, the Earth's share included."""
-        of, spec = self.built.motion.geometry, self.built.spec
-        largest = max(float(axis.max_rate) for axis in spec.rig.table.axis)
+        of, gyro = self.built.motion.geometry, self.spec.sensor.gyro
+        largest = max(float(axis.max_rate) for axis in self.spec.rig.table.axis)
         if not alone:
             return largest + EARTH_RATE
-        usable = None if spec.sensor.gyro is None else spec.sensor.gyro.usable_rate
+        usable = None if gyro is None else gyro.usable_rate
         earth = abs(float(of.base @ of.axes[0] @ of.earth_rate()))
         return min(largest, np.inf if usable is None else float(usable)) + earth
 
-
-def _bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tuple[str, ...]] | None:
-    """The limit of a requirement, SI, and what its proof leaves out; None where there is no proof."""
-    name = {"gyro_bias": BIAS, "gyro_scale_factor": SCALE_FACTOR}.get(requirement.quantity)
-    if name is None:
-        return None
-    # Of several gyros the first, since all are alike.
-    quantity, model = residual_of(data.built, requirement), data.built.model
-    element = quantity.elements[0]
-    channel = next(c for c in model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
-    of = channel.map(name)
-    if of is None or (name == SCALE_FACTOR and not isinstance(of.rate, Polynomial)):
-        return None
-    carried = ("the calibration contains the discrepancy as far as the data determine it",)
-    more, shape = carried if element.alone is not None else (), (len(quantity.temperatures), len(quantity.rates))
-    functions = (of,) if of.beyond is None else (of, of.beyond)
-    rows = np.zeros((len(element.beyond), model.size))
-    rows[:, element.where] = element.rows[0]
-    rows = rows[:, model.where(channel.kind, channel.axis)]
-    if name == BIAS:
+    def _density_alone(self, channel: Channel) -> tuple[float, tuple[str, ...]]:
+        """The least noise density (rad²/s) of any motion of a gyro that has the table alone, by the least time between
+        readings, and between standstills, of this plan and of any plan in a search; and what the proof leaves out."""
+        encoder, schedule, line = self.built.model.encoder, self.spec.gradient_schedule, self.built.motion.line
+        steps = (*schedule.steps, *schedule.after)
+        apart = min([LEAST_TURN, *(step.move.duration for step in steps if step.axis >= 0)])
+        stated = [step.move.read_every for step in steps if step.move.read_every is not None]
+        times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
+        spacing = min([*np.asarray(encoder.every), *stated, apart, float(np.min(np.diff(times), initial=np.inf))])
+        relaxed = ["acceleration and travel"]
+        reading, offset = float(encoder.reading[0]), float(encoder.offset[0])
         noise = float(channel.angle_random_walk), channel.processes
-        left = bias_seen_continuously(of, *noise, data.windows, data.course, rows[:, channel.where(BIAS)])
-        value = float(np.asarray(statistic(requirement.statistic, left.reshape(shape))))
-        return Limit(value, value), (*_RELAXED, *more)
-    # Of a channel among others, the noise is white and its clock is one with that of all.
-    alone, processes = data.alone(channel), channel.processes
-    density, relaxed = float(channel.angle_random_walk) ** 2, _RELAXED
-    if alone:
-        if clock := data.built.spec.sensor.clock_error:
-            processes = processes + constant(clock, rate_gain=1.0)
-        density, relaxed = _density_alone(data, channel)
-    windows = _between_knots(data.visits, data.chamber)
-    floor = scale_factor_floor(of, processes, windows, data.course, quantity.temperatures)
-    share = PRIOR_OF_WALK if np.any(floor) else 1.0
-    problem = RelaxedProblem(
-        functions,
-        np.concatenate([rows[:, channel.where(f.name)] for f in functions], axis=1),
-        np.repeat(floor, shape[1]),
-        shape,
-        requirement.statistic,
-        np.asarray(scipy.linalg.block_diag(*(np.asarray(f.prior_rows()) / np.sqrt(share) for f in functions))),
-        data.course(_middles_of_parts(data.visits))[0],
-        data.fastest(alone=alone),
-        data.turning / density,
-    )
-    return relaxed_limit(problem), (*relaxed, *more)
+        density = least_noise_density(*noise, reading, spacing)
+        if reading > 0.0:
+            often = f"the angle is read at most every {spacing:.3g} s"
+            relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave a smaller error)")
+        if offset > 0.0:
+            # An offset is one draw a standstill.
+            density = max(density, least_noise_density(*noise, offset, apart))
+            relaxed.append(f"the time between standstills can be as short as {apart:.3g} s")
+        if not self.tied:
+            relaxed.append(
+                "the turns may be at any time; only their total time is limited, to the axis's part of a cycle"
+            )
+        return density, tuple(relaxed)
 
-
-def _density_alone(data: _PlanData, channel: Channel) -> tuple[float, tuple[str, ...]]:
-    """The least noise density (rad²/s) of any motion of a gyro that has the table alone, and what the proof leaves
-    out."""
-    encoder = data.built.model.encoder
-    spacing, apart = data.spacing()
-    relaxed = ["acceleration and travel"]
-    reading, offset = float(encoder.reading[0]), float(encoder.offset[0])
-    noise = float(channel.angle_random_walk), channel.processes
-    density = least_noise_density(*noise, reading, spacing)
-    if reading > 0.0:
-        often = f"the angle is read at most every {spacing:.3g} s"
-        relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave a smaller error)")
-    if offset > 0.0:
-        # An offset is one draw a standstill.
-        density = max(density, least_noise_density(*noise, offset, apart))
-        relaxed.append(f"the time between standstills can be as short as {apart:.3g} s")
-    if not data.tied:
-        relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
-    return density, tuple(relaxed)
-
-
-def _between_knots(windows: Windows, chamber: Programme) -> Windows:
-    """The windows, divided where the chamber's slope changes."""
-    knots, parts = chamber.times(), list[tuple[float, float]]()
-    for begin, end in windows:
-        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
-        parts += pairwise([begin, *map(float, inside), end])
-    return parts
+    def _between_knots(self, windows: Windows) -> Windows:
+        """The windows, divided where the chamber's slope changes."""
+        knots, parts = self.chamber.times(), list[tuple[float, float]]()
+        for begin, end in windows:
+            inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
+            parts += pairwise([begin, *map(float, inside), end])
+        return parts
 
 
 def _middles_of_parts(windows: Windows) -> np.ndarray:
@@ -258,29 +253,17 @@ def _middles_of_parts(windows: Windows) -> np.ndarray:
     return begin[k] + middle - lasted[k]
 
 
-def _sensor_course(chamber: Programme, lag: float | None) -> Course:
-    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
-    of = chamber.sensor(lag)
-
-    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
-        since = t - of.times[k]
-        fading = of.excess[k] * np.exp(-of.lag_rate * since)
-        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
-
-    return at
-
-
-def _visits(schedule: PlanSchedule, stretch: Stretch) -> Windows:
-    """When the axis has the table (begin, end; s) in the cycles of a stretch."""
+def _visits(schedule: PlanSchedule) -> Windows:
+    """When the axis has the table (begin, end; s) in the cycles of all stretches."""
     visits: list[tuple[float, float]] = []
-    for number in range(stretch.cycles):
-        begin = here = stretch.start + number * schedule.period
-        for step in schedule.steps:
-            there = here + step.move.duration
-            if step.move.other_axes:
-                visits.append((begin, here))
-                begin = there
-            here = there
-        visits.append((begin, here))
+    for stretch in schedule.stretches:
+        for number in range(stretch.cycles):
+            begin = here = stretch.start + number * schedule.period
+            for step in schedule.steps:
+                there = here + step.move.duration
+                if step.move.other_axes:
+                    visits.append((begin, here))
+                    begin = there
+                here = there
+            visits.append((begin, here))
     return [(begin, end) for begin, end in visits if end > begin]

@@ -28,7 +28,7 @@ class _Way(NamedTuple):
     plans that descend side by side. `steps`: sizes of random steps from the best plan, in turn; the search ends where a
     round of all gains less than `gain` (natural logarithm), and a descent where twenty evaluations gain less than
     `least_gain`. Without steps the structure is changed, and so much worse, `warm`, a plan may be and be gone on from,
-    at the begin of the search. `evaluations`: in all, and of a quick search.
+    at the begin of the search. `evaluations`: in all.
     """
 
     first: tuple[tuple[float, int], ...]
@@ -40,16 +40,14 @@ class _Way(NamedTuple):
     gain: float
     least_gain: float
     warm: float
-    evaluations: tuple[int, int]
+    evaluations: int
 
 
-_OF_CYCLES: Final = _Way(
-    ((8.0, 60), (30.0, 120)), (30.0, 80), (100.0, 300), 1, 2, (), 0.0, -math.inf, 0.006, (14000, 800)
-)
+_OF_CYCLES: Final = _Way(((8.0, 60), (30.0, 120)), (30.0, 80), (100.0, 300), 1, 2, (), 0.0, -math.inf, 0.006, 14000)
 # There are many local optima, and a begin hardly predicts the end of its descent.
 _OF_VISITS: Final = _Way(
     ((8.0, 80), (40.0, 140), (200.0, 140)), (1000.0, 140), (1000.0, 600), 4, 4, (0.3, 1.0, 0.3, 1.0), 1e-3, 2e-4, 0.0,
-    (4500, 1600),
+    4500,
 )  # fmt: skip
 # Evaluations for each random begin.
 _OF_BEGIN: Final = 140
@@ -71,7 +69,7 @@ class PoseSearch:
     """The search over structures of plans, each of which descends along the gradient, for the best one of several
     kinds.
 
-    `evaluations`: of the objective and its gradient (None: as many as usual); `quick`: few. `used`: so many were made.
+    `evaluations`: of the objective and its gradient (None: as many as usual). `used`: so many were made.
     """
 
     def __init__(
@@ -79,13 +77,10 @@ class PoseSearch:
         plans: Sequence[CyclePlan],
         evaluations: int | None,
         stop: Callable[[], bool] = lambda: False,
-        *,
-        quick: bool = False,
     ) -> None:
         self.objective = plans[0].exact
         self._way = _OF_VISITS if plans[0].draws else _OF_CYCLES
-        full, few = self._way.evaluations
-        self._plans, self._budget, self.stopped = plans, evaluations or (few if quick else len(plans) * full), stop
+        self._plans, self._budget, self.stopped = plans, evaluations or len(plans) * self._way.evaluations, stop
         self._rng = np.random.default_rng(plans[0].design.seed)
         self.used, self.best = 0, Found(plans[0], plans[0].start)
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import gradcal_jax
-from gradcal_jax.design.searching import Optimised, record_of
+from gradcal_jax.design.optimise import Optimised, record_of
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.recipe.recipe import FORMAT, Recipe, RecipeOrigin

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from numpy.polynomial import chebyshev
+from numpy.polynomial import Chebyshev
 
 from gradcal_jax.information.residual import Statistic, statistic
 from gradcal_jax.model.terms import Discrepancy, Map
@@ -39,47 +39,24 @@ from gradcal_jax.model.terms import Discrepancy, Map
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
 _RATES = 25
 _JOINS = 1e-3
-# Temperatures on which a maximum over temperature is searched.
-_TEMPERATURES = 26
-_MAXIMA: tuple[Statistic, ...] = ("max", "mean of max")
-
-
-class Limit(NamedTuple):
-    """`certified`: no plan is better; `reached`: the best value computed for the relaxed problem; both in SI. The
-    optimum of the relaxed problem lies between the two."""
-
-    certified: float
-    reached: float
 
 
 class RelaxedProblem(NamedTuple):
-    """Errors `rows` `(g, p)`, on a grid of `shape`, of the parameters of `functions`, which are polynomials in rate.
+    """Errors `rows` `(t, r, p)`, on a grid of `t` temperatures and `r` rates, of the parameters of `functions`, which
+    are polynomials in rate.
 
-    `floor` `(g,)`: a variance that no plan removes; `prior` `(q, p)`: whitened rows. The time is spread evenly over
+    `floor` `(t,)`: a variance that no plan removes; `prior` `(q, p)`: whitened rows. The time is spread evenly over
     `temperatures` (°C), and rates are at most `max_rate` (rad/s). `gain`: motion time over noise density, s²/rad².
     """
 
     functions: tuple[Map | Discrepancy, ...]
     rows: np.ndarray
     floor: np.ndarray
-    shape: tuple[int, int]
     statistic: Statistic
     prior: np.ndarray
     temperatures: np.ndarray
     max_rate: float
     gain: float
-
-    def thinned(self) -> "RelaxedProblem":
-        """The same on fewer temperatures, ends included, if its statistic is a maximum over them, which is then no
-        larger: a limit of it is one of the whole."""
-        if self.statistic not in _MAXIMA:
-            return self
-        every, across = self.shape
-        kept = np.unique(np.round(np.linspace(0, every - 1, min(every, _TEMPERATURES))).astype(int))
-        rows = self.rows.reshape(every, across, -1)[kept]
-        floor = self.floor.reshape(every, across)[kept]
-        shape = len(kept), across
-        return self._replace(rows=rows.reshape(len(kept) * across, -1), floor=floor.ravel(), shape=shape)
 
     def moments(self, rates: np.ndarray) -> np.ndarray:
         """`(n, m, p)`, whose squares are the information of all time at a temperature and each of its `rates`
@@ -93,40 +70,42 @@ class RelaxedProblem(NamedTuple):
         return 2 * max(function.rate.size for function in self.functions)
 
 
-def relaxed_limit(problem: RelaxedProblem, *, tolerance: float = 2e-3) -> Limit:
-    """The limit of a problem. `tolerance`: largest relative difference of `certified` and `reached`."""
-    few = problem.thinned()
+def relaxed_limit(problem: RelaxedProblem, *, tolerance: float = 2e-3) -> float:
+    """The limit of a problem, SI: certified, and at most by the share `tolerance` below the problem's optimum."""
     grid = problem.max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
     rates = np.tile(grid, (len(problem.temperatures), 1))
-    logs, best = np.zeros_like(rates), Limit(0.0, np.inf)
+    logs, certified, reached = np.zeros_like(rates), 0.0, np.inf
     for sharpness in _SHARPNESS:
-        logs = _descended(few, rates, logs, sharpness)
-        certified, peaks = _certificate(few, rates, logs, sharpness)
-        reached = float(np.asarray(statistic(problem.statistic, _Solution(problem, rates, logs).values)))
-        best = Limit(max(best.certified, certified), min(best.reached, reached))
-        if best.reached <= best.certified * (1.0 + tolerance):
+        logs = _descended(problem, rates, logs, sharpness)
+        solution = _Solution(problem, problem.moments(rates), logs)
+        limit, peaks = _certificate(problem, solution, sharpness)
+        certified = max(certified, limit)
+        reached = min(reached, float(np.asarray(statistic(problem.statistic, solution.values))))
+        if reached <= certified * (1.0 + tolerance):
             break
         # Most statistics are symmetric in rate, so that the mirrored rate would be next.
         rates = np.concatenate([rates, peaks[:, None], -peaks[:, None]], axis=1)
         joined = np.max(logs, axis=1, keepdims=True) + np.log(_JOINS)
         logs = np.concatenate([logs, joined, joined], axis=1)
-    return best
+    return certified
 
 
 class _Solution:
-    """Residuals `values` of a measure: at each temperature the shares of the rates are `softmax(logs)`, `(n, m)`."""
+    """Residuals `values` `(t, r)` of a measure: at each temperature the shares of the rates with these `moments` are
+    `softmax(logs)`, `(n, m)`."""
 
-    def __init__(self, problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray):
-        self.problem, self.moments = problem, problem.moments(rates)
+    def __init__(self, problem: RelaxedProblem, moments: np.ndarray, logs: np.ndarray):
         powers = np.exp(logs - np.max(logs, axis=1, keepdims=True))
         self.shares = powers / np.sum(powers, axis=1, keepdims=True)
         # From the weighted rows themselves: their product would lose half the digits.
-        weighted = self.moments * np.sqrt(self.shares / len(logs))[..., None]
+        weighted = moments * np.sqrt(self.shares / len(logs))[..., None]
         rows = np.concatenate([weighted.reshape(-1, weighted.shape[-1]), problem.prior])
         self.size = np.linalg.norm(rows, axis=0)
         self.factor = np.linalg.qr(rows / self.size, mode="r")
-        self.half = scipy.linalg.solve_triangular(self.factor, (problem.rows / self.size).T, trans=1)
-        self.values = np.sqrt(np.sum(self.half**2, axis=0) + problem.floor).reshape(problem.shape)
+        wanted = problem.rows.reshape(-1, len(self.size)) / self.size
+        self.half = scipy.linalg.solve_triangular(self.factor, wanted.T, trans=1)
+        variance = np.sum(self.half**2, axis=0).reshape(problem.rows.shape[:2])
+        self.values = np.sqrt(variance + problem.floor[:, None])
 
     def useful(self, weights: np.ndarray) -> np.ndarray:
         """G, of which the mean of the residuals with these weights has the derivative `−tr(G dI)`."""
@@ -138,11 +117,12 @@ def _descended(problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray, sha
     """Logarithms of better shares `(n, m)` of the same rates."""
     from scipy.optimize import minimize
 
+    moments = problem.moments(rates)
+
     def both(z: np.ndarray) -> tuple[float, np.ndarray]:
-        solution = _Solution(problem, rates, z.reshape(logs.shape))
+        solution = _Solution(problem, moments, z.reshape(logs.shape))
         value, slope = _soft(problem.statistic, solution.values, sharpness)
-        density = _squares(solution.moments, solution.useful(slope))
-        shares = solution.shares
+        density, shares = _squares(moments, solution.useful(slope)), solution.shares
         change = shares * (density - np.sum(shares * density, axis=1, keepdims=True)) / len(logs)
         return float(np.log(value)), -change.ravel() / value
 
@@ -150,11 +130,8 @@ def _descended(problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray, sha
     return minimize(both, logs.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(logs.shape)
 
 
-def _certificate(
-    problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray, sharpness: float
-) -> tuple[float, np.ndarray]:
+def _certificate(problem: RelaxedProblem, solution: _Solution, sharpness: float) -> tuple[float, np.ndarray]:
     """The lower limit that a measure certifies, and the most useful rate at each temperature."""
-    solution = _Solution(problem, rates, logs)
     values = solution.values
     weights = _soft(problem.statistic, values, sharpness)[1]
     if problem.statistic == "max":
@@ -165,7 +142,7 @@ def _certificate(
     density, peaks = _largest(problem, useful)
     most = float(np.mean(density) + np.sum(_squares(problem.prior, useful)))
     value = float(np.sum(weights * values))
-    enough = float(np.sum(weights / (2.0 * values) * (values**2 - problem.floor.reshape(problem.shape))))
+    enough = float(np.sum(weights / (2.0 * values) * (values**2 - problem.floor[:, None])))
     if np.any(problem.floor):
         return max(value + enough - most, 0.0), peaks
     return value * np.sqrt(min(enough / most, 1.0)), peaks
@@ -178,13 +155,13 @@ def _largest(problem: RelaxedProblem, useful: np.ndarray) -> tuple[np.ndarray, n
     rates = np.tile(problem.max_rate * nodes, (len(problem.temperatures), 1))
     largest, peaks = [], []
     for values in _squares(problem.moments(rates), useful):
-        polynomial = chebyshev.chebfit(nodes, values, degree)
-        roots = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
-        real = np.real(roots[np.abs(np.imag(roots)) < 1e-6])
-        candidates = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
-        at = chebyshev.chebval(candidates, polynomial)
-        largest.append(np.max(at))
-        peaks.append(problem.max_rate * candidates[np.argmax(at)])
+        density = Chebyshev.fit(nodes, values, degree, domain=[-1.0, 1.0])
+        roots = np.asarray(density.deriv().roots(), dtype=complex)
+        real = np.real(roots[(np.abs(np.imag(roots)) < 1e-6) & (np.abs(np.real(roots)) < 1.0)])
+        candidates = np.concatenate([[-1.0, 1.0], real])
+        k = np.argmax(at := density(candidates))
+        largest.append(at[k])
+        peaks.append(problem.max_rate * candidates[k])
     return np.array(largest), np.array(peaks)
 
 

@@ -5,6 +5,7 @@ gradient: a search tries a few of them.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,9 +15,8 @@ from gradcal_jax.formulas import repetitions
 from gradcal_jax.recipe.tracks import steps_of
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import MotionPlan, RampItem
-from gradcal_jax.spec.schedule import duration_of
+from gradcal_jax.spec.schedule import PlanStep, duration_of
 from gradcal_jax.spec.spec_sections import Spec
 
 # A shorter time of other axes behind the last visit is none, s.
@@ -72,23 +72,26 @@ def with_motion(spec: Spec, time: float) -> Spec:
     return changed(spec, keys)
 
 
-def moves_of_visits(spec: Spec) -> list[list[ResolvedMove]]:
-    """The moves of each visit of a cycle."""
-    visits: list[list[ResolvedMove]] = [[]]
+def slot_turns(steps: Sequence[PlanStep]) -> list[SlotTurn]:
+    """Turns, each with the rest after it, behind a slot that rests before the first one."""
+    turns = [EMPTY]
+    for step in steps:
+        if step.axis >= 0:
+            turns.append(SlotTurn(step.axis, step.move.angle, step.move.fastest, 0.0))
+        else:
+            turns[-1] = turns[-1]._replace(rest=turns[-1].rest + step.move.duration)
+    return turns
+
+
+def _visits_of(spec: Spec) -> list[list[PlanStep]]:
+    """The steps of each visit of a cycle."""
+    visits: list[list[PlanStep]] = [[]]
     for step in spec.gradient_schedule.steps:
         if step.move.other_axes:
             visits.append([])
         else:
-            visits[-1].append(step.move)
+            visits[-1].append(step)
     return visits
-
-
-def visit_times(spec: Spec) -> tuple[float, float]:
-    """The duration (s) of one visit, and the time after it for other axes."""
-    schedule, visits = spec.gradient_schedule, moves_of_visits(spec)
-    others = [step.move.duration for step in schedule.steps if step.move.other_axes]
-    own = math.fsum(move.duration for visit in visits for move in visit)
-    return own / len(visits), others[0] if others else duration_of(schedule.after)
 
 
 class VisitTimes(NamedTuple):
@@ -104,24 +107,25 @@ class VisitTimes(NamedTuple):
 
 def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
     """The visits that a search tries for a plan that turns one gyro."""
-    time, visits = spec.gradient_schedule.stretches[0].duration, moves_of_visits(spec)
-    own, other = visit_times(spec)
+    schedule, visits = spec.gradient_schedule, _visits_of(spec)
+    time, waits = schedule.stretches[0].duration, [s.move.duration for s in schedule.steps if s.move.other_axes]
+    own = duration_of([step for steps in visits for step in steps]) / len(visits)
+    other = waits[0] if waits else duration_of(schedule.after)
     if "cycle" in design.free:
         # The axis keeps its share of the time. The last visit ends with the ramp.
         share = own / (own + other)
         options = [(n, share * time / n, (1.0 - share) * time / (n - 1), 1) for n in _FREE_VISITS]
     else:
         count, each = repetitions(time, own, own + other)[0], len(visits)
-        ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
-        alone = len(ramps) == 1 and len(spec.gradient_schedule.stretches) == 1
+        alone = sum(s.kind == "ramp" for s in schedule.segments) == 1 == len(schedule.stretches)
         options = [(count, own, other, 1) if count <= _MOST_OWN and alone else (each, own, other, count // each)]
-    choices = []
+    choices, rest = [], shortest_rest(spec, design)
     for count, each, between, cycles in options:
-        fitting = max(1, int(0.5 * each / (LEAST_TURN + shortest_rest(spec, design))))
+        fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
         wanted = max(_LEAST_TURNS, -(-_TURNS // count)) if cycles == 1 else 2 * _LEAST_TURNS
         turns = design.moves or min(wanted, fitting)
-        turns = max([turns, *(sum(not move.is_rest for move in moves) for moves in visits)])
-        least = turns * (LEAST_TURN + shortest_rest(spec, design))
+        turns = max([turns, *(len(slot_turns(steps)) - 1 for steps in visits)])
+        least = turns * (LEAST_TURN + rest)
         if least > each:
             raise ValueError(
                 f"the moves need at least {least:.4g} s, but the axis may turn for only {each:.4g} s in each visit: "
@@ -135,38 +139,25 @@ def shortest_rest(spec: Spec, design: Design) -> float:
     """The shortest rest, s; of one axis, unless it is stated, no longer than until its angle is read."""
     least = float(design.shortest_rest)
     if spec.turns_one_gyro and "shortest_rest" not in design.model_fields_set:
-        return min(least, rest_spacing(spec))
+        return min(least, float(spec.rig.table.axis[0].angle.read_every))
     return least
-
-
-def rest_spacing(spec: Spec) -> float:
-    """How often a table of one axis is read at rest, s: as its first rest that is read so, or else the table."""
-    table = float(spec.rig.table.axis[0].angle.read_every)
-    rests = (step.move for step in spec.gradient_schedule.steps if step.move.is_rest)
-    spacings = (table if rest.reads_as_table else rest.read_every for rest in rests)
-    return next((float(every) for every in spacings if every and math.isfinite(every)), table)
 
 
 def cycle_in_visits(spec: Spec, times: VisitTimes, limits: TableLimits) -> tuple[Visits, Cycle]:
     """The slots of the visits: a rest before the first turn of all, then turns with rests between them and, where no
     other axis waits, behind the last; with the moves of the file's cycle, as many as it has, in every visit."""
-    own, slots, group = moves_of_visits(spec), list[SlotTurn](), list[int]()
+    own, slots, group = _visits_of(spec), list[SlotTurn](), list[int]()
     whole = spec.gradient_schedule.stretches[0].duration
     tail = times.other if times.cycles > 1 else whole - times.visits * times.own - (times.visits - 1) * times.other
     tail = tail if tail > _LEFT else 0.0
     for visit in range(times.visits):
-        turns = [SlotTurn(-1, 0.0, 0.0, limits.shortest)]
-        for move in own[visit % len(own)]:
-            if move.is_rest:
-                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + move.duration)
-            else:
-                turns.append(SlotTurn(0, move.angle, move.fastest, 0.0))
-        turns = turns if visit == 0 else turns[1:]
+        first, *turns = slot_turns(own[visit % len(own)])
+        turns = turns if visit else [first._replace(rest=first.rest + limits.shortest), *turns]
         if times.other and (visit < times.visits - 1 or tail):
             turns[-1] = turns[-1]._replace(rest=0.0)
-        empty = times.turns + (visit == 0) - len(turns)
-        slots += turns + [EMPTY] * empty
-        group += [visit] * (times.turns + (visit == 0))
+        count = times.turns + (visit == 0)
+        slots += turns + [EMPTY] * (count - len(turns))
+        group += [visit] * count
     plan = spec.plan
     others = plan.cycle.other_axes if isinstance(plan, MotionPlan) and plan.cycle is not None else None
     every = limits.read_every if others is not None and others.read_every is not None else math.inf

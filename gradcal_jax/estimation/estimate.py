@@ -154,7 +154,8 @@ def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     """The spec of one gyro along a table's only axis, of the `axis` of the body that was recorded, if it is another: it
     is named, or the log has no other. Errors: `LogError` and `ValueError`."""
     if axis is not None:
-        if log.axes[log.axis_index(axis)] not in AXIS_NAMES:
+        log.channel(f"gyro {axis}")
+        if axis not in AXIS_NAMES:
             raise LogError(f"gyro axes are x, y and z, not '{axis}': rename it in the column map")
         return along_axis(spec, cast("Axis", axis))
     gyro = spec.sensor.gyro

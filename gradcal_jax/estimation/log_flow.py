@@ -39,13 +39,13 @@ def noise(
     margin: float = 2.5,
     angle_random_walk: float | None = None,
     bias_degree: int | None = None,
-    lag: float | Literal["auto", "fit", "none"] = "auto",
+    lag: bool = True,
     rate: float | None = None,
 ) -> instability.Instability:
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
     `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
-    its bias over temperature (`bias_degree`, `lag` in s: see `instability.at_rest`). The drift is measured from
+    its bias over temperature (`bias_degree`, `lag`: see `instability.at_rest`). The drift is measured from
     an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
     deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. Returns `bound` (`drift_std` in rad/s,
     `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
@@ -71,7 +71,7 @@ def allan(
     terms: Sequence[str] = TERMS,
     confidence: float = 0.683,
     bias_degree: int | None = None,
-    lag: float | Literal["auto", "fit", "none"] = "auto",
+    lag: bool = True,
     rate: float | None = None,
 ) -> tuple[identify.AllanDeviation, identify.AllanFit]:
     """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).

@@ -213,7 +213,7 @@ def _channel(log: Log, axis: str, unit: str, *, force: bool = False) -> _Channel
         if force
         else ("gyro", "sensor", "rad/s", "rad/sqrt(s)", "angular rate")
     )
-    rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none", force=force)
+    rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag=False, force=force)
     _, deviation = allan_of(rest)
     walk = deviation.angle_random_walk
     if not walk.value > walk.standard_error:
@@ -226,7 +226,7 @@ def _channel(log: Log, axis: str, unit: str, *, force: bool = False) -> _Channel
         raise LogError(f"gyro {axis} of IMU {unit}: {too_noisy(deviation)}")
     grade = grade_of_noise(table, Quantity.of(walk.value, walk_unit)).name
     typical, of_gyro = ({term.key: term.value for term in terms_of(of, grade)} for of in (table, "sensor"))
-    means = _means(at_rest(log, axis, unit, bias_degree=-1, lag="none", force=force))
+    means = _means(at_rest(log, axis, unit, bias_degree=-1, lag=False, force=force))
     low, high = float(np.floor(means.temperature.min() * 10) / 10), float(np.ceil(means.temperature.max() * 10) / 10)
     basis = TemperaturePolynomial(
         degree=DEGREE,

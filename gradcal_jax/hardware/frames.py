@@ -24,7 +24,7 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit, missing
-from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.hardware.roles import Floats, ImuBatch, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency
@@ -223,6 +223,7 @@ class FrameDecoder(SampleDecoder):
         self._crc = CrcOfRows(check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
         self._sent = Number.model_validate({"at": check.at, "type": f"u{check.width}"})
         self._buffer = b""
+        self._arrived = np.empty(0)
         # A stream may begin with a unit that starts.
         self._starting = True
         rate_hz, restarts_at = float(unit.rate), stamp and stamp.restarts_at
@@ -232,7 +233,9 @@ class FrameDecoder(SampleDecoder):
             tick_s = 1.0 / float((stamp and stamp.rate) or rate_hz)
             super().__init__("count" if stamp else "", rate_hz, tick_s, restarts_at)
 
-    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+    def push(self, data: bytes, host_time_s: float | Floats) -> ImuBatch:
+        """The samples; `host_time_s`: when the bytes were in hand, one time or that of each byte."""
+        self._arrived = np.concatenate([self._arrived, np.broadcast_to(host_time_s, len(data))])
         self._buffer += data
         length = self._unit.length
         done = len(self._buffer) // length * length
@@ -247,9 +250,10 @@ class FrameDecoder(SampleDecoder):
             if len(run):
                 self._noise(int(run[0]) - place)
                 place = int(run[-1]) + length
-                batches.append(self._decode(whole[run[0] : place].reshape(-1, length), host_time_s))
+                rows = whole[run[0] : place].reshape(-1, length)
+                batches.append(self._decode(rows, self._arrived[run + length - 1]))
         self._noise(done - place)
-        self._buffer = self._buffer[done:]
+        self._buffer, self._arrived = self._buffer[done:], self._arrived[done:]
         return join(batches)
 
     def _search(self, data: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
@@ -280,7 +284,7 @@ class FrameDecoder(SampleDecoder):
             right = self._crc(covered) == self._sent.of(rows, check.order)[:, 0]
         return right & (rows[:, : len(self._sync)] == self._sync).all(axis=1)
 
-    def _decode(self, rows: NDArray[np.uint8], host_time_s: float) -> ImuBatch:
+    def _decode(self, rows: NDArray[np.uint8], host_time_s: Floats) -> ImuBatch:
         unit, count = self._unit, len(rows)
         stamps = np.zeros(count)
         if self._stamp is not None:

@@ -267,7 +267,7 @@ class ImuBatch:
 
 
 def imu_batch(
-    host_time_s: float,
+    host_time_s: float | Floats,
     device_time_s: Floats,
     gyro_dps: Floats,
     acceleration_g: Floats,
@@ -278,9 +278,8 @@ def imu_batch(
     count = len(device_time_s)
     none: dict[str, Any] = {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
     none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
-    return ImuBatch(
-        np.full(count, float(host_time_s)), device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more)
-    )
+    host = np.zeros(count) + host_time_s
+    return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
 
 
 def join(batches: Sequence[ImuBatch]) -> ImuBatch:

@@ -67,7 +67,7 @@ class SampleDecoder:
         self._disturbed = self._disturbed or count > 0
 
     def _batch(
-        self, host_time_s: float, stamps: Floats, values: Mapping[str, Floats], disturbed: Any, **more: Any
+        self, host_time_s: float | Floats, stamps: Floats, values: Mapping[str, Floats], disturbed: Any, **more: Any
     ) -> ImuBatch:
         """`stamps` `(n,)`; `values` `(n, 3)` by quantity, of what the unit sends; `disturbed` `(n,)`."""
         if not self._stamped:
@@ -89,7 +89,7 @@ class SampleDecoder:
         more = {name: of[kept] for name, of in more.items()}
         more["restarted"] = restarted | more.get("restarted", False)
         return imu_batch(
-            host_time_s,
+            np.broadcast_to(host_time_s, len(stamps))[kept],
             counts * self.resolution_s,
             gyro,
             acceleration,

@@ -169,7 +169,7 @@ def overlapping_allan(
     for start, stop in edges.tolist():
         if stop - start < 2 * int(steps[0]):
             continue
-        angle = running_angle(rate[start:stop], first_sample=start)
+        angle = running_angle(rate[start:stop])
         for row, m in enumerate(steps.tolist()):
             if 2 * m <= stop - start:
                 total[row] += _sum_of_squares(angle, m)

@@ -7,6 +7,7 @@ These hold continuous-time densities: the white noise N (rad/s/√Hz, m/s²/√H
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,7 @@ def at_rest(
     unit: str | int = 0,
     *,
     bias_degree: int | None = None,
-    lag: float | str = "auto",
+    lag: bool = True,
     without: Sequence[tuple[float, float]] = (),
     force: bool = False,
 ) -> RestRecord:
@@ -154,20 +155,20 @@ def at_rest(
 
     `without`: spans of the record's time (s) to leave out.
     `bias_degree`: of the subtracted polynomial B(T); None: 3 where the record spans 5 K or more, otherwise 0; −1:
-    nothing is subtracted. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and used where
-    it reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
+    nothing is subtracted. `lag`: whether a lag of the bias behind the temperature is fitted; it is used where it
+    reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
     """
-    label, name = _label(log, axis, force), log.units[log.unit_index(unit)]
     kind, other = ("accelerometer", Reason.MISSING_RATE) if force else ("gyro", Reason.MISSING_FORCE)
+    label = axis if isinstance(axis, str) else (log.force_axes if force else log.axes)[axis]
+    channel, name = f"{kind} {label}", log.units[log.unit_index(unit)]
     if log.status is not None:
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    own = log.channel(axis, unit, force=force)
+    own = log.channel(channel, unit)
     still = slice(None) if log.standstill is None else log.standstill >= 0
-    where = f"{kind} {label} of {name}"
-    said = refuse_unlike_noise(where, own[still])
-    log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
-    even = log.even(axis, unit, force=force)
+    said = refuse_unlike_noise(f"{channel} of {name}", own[still])
+    log, faults = without_faults(log, {channel}, at_rest=True)
+    even = log.even(channel, unit)
     valid = even.valid.copy()
     messages = [*said, *faults[name].sentences]
     if log.standstill is not None:
@@ -202,31 +203,16 @@ def at_rest(
         rate = rate - rate[valid].mean()
     elif bias_degree > 0:
         assert temperature is not None
-        thermal, at_once = _thermal(even, valid, temperature, bias_degree, lag)
+        thermal, said = _thermal(even, valid, temperature, bias_degree, lag)
+        messages += said
         rows, where = np.arange(len(temperature)), np.isfinite(temperature)
         rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
-        if thermal.lag_time_s > 0.0 and lag == "auto":
-            messages.append(
-                f"the bias lags behind the temperature by {thermal.lag_time_s:.0f} s: with this lag, the residual is "
-                f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
-            )
-        if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
-            messages.append(
-                f"the fitted lag is the longest allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
-                "the lag, and the effect may be drift"
-            )
     rate[~valid] = 0.0
     per_row, words = samples_per_row(log, even.sample_interval_s)
     return RestRecord(
         *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
         _lost(raw, read, valid, even.sample_interval_s), per_row,
     )  # fmt: skip
-
-
-def _label(log: Log, axis: str | int, force: bool) -> str:
-    if not force:
-        return log.axes[log.axis_index(axis)]
-    return axis if isinstance(axis, str) else log.force_axes[axis]
 
 
 def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
@@ -265,31 +251,32 @@ def _lost(log: Log, read: Mapping[str, int], valid: np.ndarray, interval_s: floa
 
 
 def _thermal(
-    even: EvenSeries, valid: np.ndarray, temperature: np.ndarray, degree: int, lag: float | str
-) -> tuple[identify.ThermalBias, identify.ThermalBias]:
-    """B(T) with the requested lag, and B(T) without a lag."""
-
-    def fit(lag_time_s: float | None) -> identify.ThermalBias:
-        return identify.fit_thermal_bias(
-            even.rate_rad_per_s,
-            temperature,
-            even.sample_interval_s,
-            degree=degree,
-            lag_time_s=lag_time_s,
-            longest_lag_s=_LONGEST_LAG_S,
-            valid=valid,
+    even: EvenSeries, valid: np.ndarray, temperature: np.ndarray, degree: int, lag: bool
+) -> tuple[identify.ThermalBias, list[str]]:
+    """B(T), with a `lag` where that is better, and sentences on it."""
+    fit = partial(
+        identify.fit_thermal_bias,
+        even.rate_rad_per_s,
+        temperature,
+        even.sample_interval_s,
+        degree=degree,
+        longest_lag_s=_LONGEST_LAG_S,
+        valid=valid,
+    )
+    at_once = fit(lag_time_s=0.0)
+    late = fit() if lag else at_once
+    if late.residual_rms >= _LAG_PAYS * at_once.residual_rms:
+        return at_once, []
+    said = [
+        f"the bias lags behind the temperature by {late.lag_time_s:.0f} s: with this lag, the residual is "
+        f"{late.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
+    ]
+    if late.lag_time_s > 0.99 * _LONGEST_LAG_S:
+        said.append(
+            f"the fitted lag is the longest allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
+            "the lag, and the effect may be drift"
         )
-
-    at_once = fit(0.0)
-    if not isinstance(lag, str):
-        return fit(float(lag)), at_once
-    if lag not in ("auto", "fit", "none"):
-        raise ValueError(f'a lag is a time, "fit", "auto" or "none", not "{lag}"')
-    if lag == "none":
-        return at_once, at_once
-    late = fit(None)
-    keep = lag == "fit" or late.residual_rms < _LAG_PAYS * at_once.residual_rms
-    return (late if keep else at_once), at_once
+    return late, said
 
 
 def instability(
@@ -448,8 +435,3 @@ def too_noisy(fit: identify.AllanFit) -> str:
 def plausible(fit: identify.AllanFit) -> bool:
     """Whether a gyro can have this angle random walk; otherwise a unit is wrong, or the sensor moved."""
     return fit.angle_random_walk.value <= _NOISIEST
-
-
-def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:
-    """The axes in `wanted`, or all of the log's. **Raises:** `LogError` for an axis that the log lacks."""
-    return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)

@@ -97,7 +97,7 @@ def largest_drift(
         fitting = int(np.searchsorted(lengths, stop - start - before, side="right"))
         if fitting == 0:
             continue
-        running = running_angle(rate[start:stop], first_sample=start)
+        running = running_angle(rate[start:stop])
         mean_before = (running[before:] - running[:-before]) / before
         for row, length in enumerate(lengths[:fitting].tolist()):
             value, index = _largest(running[before:], mean_before, length)
@@ -137,14 +137,13 @@ def _largest(angle: Angles, before: Angles, length: int) -> tuple[float, int]:
     return best / length, best_index
 
 
-def running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
+def running_angle(rate: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " instants"]:
     """θ, from zero; the mean rate is subtracted first, which changes no drift and keeps θ small."""
     running = np.zeros(len(rate) + 1)
     running[1:] = rate
     mean = running[1:].mean()
     if not np.isfinite(mean):
-        bad = int(np.flatnonzero(~np.isfinite(running[1:]))[0]) if not np.isfinite(running).all() else 0
-        raise ValueError(f"the rate of sample {first_sample + bad} is not finite: mark such samples as not valid")
+        raise ValueError("the rate of a sample is not finite: mark such samples as not valid")
     running[1:] -= mean
     return np.cumsum(running, out=running)
 

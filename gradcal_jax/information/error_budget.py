@@ -129,7 +129,7 @@ def _active_sources(built: BuiltImu) -> dict[str, Figure]:
     """The noise sources that are not zero and act on this plan."""
     line = built.motion.line
     unread = {"reading noise", "standstill offset", "timing error"} if line.rates else {"rate accuracy"}
-    if built.model.encoder.held or not len(line.moving_pieces):
+    if built.model.encoder.held or not np.any(line.moving):
         unread.add("timing error")
     figures = noise_figures(built).items()
     return {n: of for n, of in figures if n not in unread and not n.startswith(CORRELATION_TIME)}

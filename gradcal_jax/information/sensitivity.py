@@ -135,6 +135,6 @@ def _of_plan(of: Differentiable) -> dict[str, tuple[Change, float]]:
     # Where functions of the rate are divided, other rates divide the pieces elsewhere.
     divided = any(isinstance(t, Map) and t.rate.breaks for t in built.model.terms)
     figures: dict[str, tuple[Change, float]] = {} if divided and kept else {TIME: (longer, step)}
-    if len(line.moving_pieces) and not divided:
+    if np.any(line.moving) and not divided:
         figures[RATES] = faster, _SMALL_STEP if kept else step
     return figures

@@ -382,12 +382,12 @@ def _motion(spec: Spec, of: ImuModel) -> TableMotion:
     fine = fineness(spec, of, line)
     motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
     motion = replace(motion, divisions=(division,))
-    smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
+    smooth = trajectory.divided_motion(motion, *_breaks(of))
     if not of.knows_path:
         return smooth
     widths = tuple(sorted({float(term.width) for term in of.terms if isinstance(term, Hysteresis)}))
     on_path = replace(smooth, history=course_before(spec))
-    return trajectory.motion_divided_by_plays(on_path, widths, *fine)
+    return trajectory.motion_divided_by_plays(on_path, widths)
 
 
 def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:

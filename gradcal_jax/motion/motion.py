@@ -7,7 +7,6 @@ turns into arrays with arbitrary times and rates.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -56,14 +55,6 @@ class Move:
     __repr__ = summary
 
     @property
-    def angle(self) -> float:
-        """Net angle, rad."""
-        p = self.pieces
-        lasting = p.by_duration * self.duration + p.by_ramp * self.ramp
-        family = formulas.motion_angle(p.u_end) - formulas.motion_angle(p.u_start)
-        return float(np.sum(np.sum(family * p.terms, axis=1) * lasting)) * self.peak_rate
-
-    @property
     def pieces(self) -> PieceTable:
         """The pieces of the move."""
         if self.shape == "rest":
@@ -101,13 +92,7 @@ def turning(shape: str, divisions: tuple[Division, ...], unevenness: float, *, s
 
 def joined(blocks: list[PieceTable]) -> PieceTable:
     """Blocks of pieces, one after the other."""
-    # A plan repeats few blocks many times: each is read once.
-    number = {of: k for k, of in enumerate(dict.fromkeys(map(id, blocks)))}
-    distinct = list({id(block): block for block in blocks}.values())
-    begins = np.cumsum([0, *(len(block.read) for block in distinct)])
-    places = [np.arange(begin, end) for begin, end in pairwise(begins)]
-    rows = np.concatenate([places[number[id(block)]] for block in blocks])
-    return PieceTable._make(np.concatenate(field).take(rows, axis=0) for field in zip(*distinct, strict=True))
+    return PieceTable._make(np.concatenate(field) for field in zip(*blocks, strict=True))
 
 
 @lru_cache(maxsize=4096)

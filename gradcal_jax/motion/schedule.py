@@ -6,10 +6,12 @@ computation like its times and rates, so that a compiled program serves every pl
 Symbols: `M` moves, `P` pieces, `F` fillers (standing that fills what the moves of a stretch leave of it).
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -28,23 +30,15 @@ _AT_KNOT = 1e-6
 
 
 class Pieces(PytreeModule):
-    """Properties of every piece: `(P,)` arrays; see `motion.PieceTable` for the first ones.
+    """Pieces `(P,)`, `of` their moves.
 
     `move`: index of the move with its times and rates; `segment` numbers the executed moves. `gap`: its data are not
     used, and a new origin is read at its end. A piece is the part of its move's piece from the knot `low` of the
     programme to the knot `high` (−1: no knot), so that the temperature within is smooth.
     """
 
+    of: PieceTable
     move: Int[AnyArray, " P"]
-    by_duration: Float[AnyArray, " P"]
-    by_ramp: Float[AnyArray, " P"]
-    u_start: Float[AnyArray, " P"]
-    u_end: Float[AnyArray, " P"]
-    terms: Float[AnyArray, "P 10"]
-    read: Bool[AnyArray, " P"]
-    at_rest: Bool[AnyArray, " P"]
-    moving: Bool[AnyArray, " P"]
-    varying: Bool[AnyArray, " P"]
     gap: Bool[AnyArray, " P"]
     segment: Int[AnyArray, " P"]
     low: Int[AnyArray, " P"]
@@ -55,8 +49,8 @@ class Schedule(PytreeModule):
     """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` last for the
     time between the knots `fill_from` and `fill_to` of the programme less that of all moves, `fill_counts` times each.
 
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces. `cut`: whether knots of the
-    programme may divide pieces. The first piece begins at the knot `first_knot`. `rates`: the reference is a held rate
+    `varying_pieces`: the numbers of those whose rate is not constant. `cut`: whether knots of the programme may divide
+    pieces. The first piece begins at the knot `first_knot`. `rates`: the reference is a held rate
     at set points (standard method) instead of an angle; `points`: whether the set points share the run's noise or are
     independent.
     """
@@ -66,7 +60,6 @@ class Schedule(PytreeModule):
     ramp: Float[AnyArray, " M"]
     programme: Programme
     pieces: Pieces
-    moving_pieces: Int[AnyArray, " K"]
     varying_pieces: Int[AnyArray, " V"]
     fill_move: Int[AnyArray, " F"]
     fill_from: Int[AnyArray, " F"]
@@ -89,10 +82,10 @@ class Schedule(PytreeModule):
 
     def trajectory(self, thermal_lag: Float[AnyArray, ""] | float | None = None) -> Trajectory:
         """The plan's trajectory; `thermal_lag` s, of the sensor behind the chamber."""
-        p = self.pieces
+        p, of = self.pieces, self.pieces.of
         durations = self.durations()
         xp = namespace(durations, self.peak_rate, p, self.programme, thermal_lag)
-        whole = (p.u_end - p.u_start) * (p.by_duration * durations[p.move] + p.by_ramp * self.ramp[p.move])
+        whole = (of.u_end - of.u_start) * (of.by_duration * durations[p.move] + of.by_ramp * self.ramp[p.move])
         sensor = self.programme.sensor(thermal_lag)
         # The whole time of a divided piece counts once, at the end of its last part.
         last = p.high < 0
@@ -103,13 +96,13 @@ class Schedule(PytreeModule):
             # A piece of 1e-100 s counts as none: the inverse of its square, in a slope, would overflow.
             return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 1e-100, whole, 1.0)
 
-        duration, start, u_start, u_end = whole, begins, p.u_start, p.u_end
+        duration, start, u_start, u_end = whole, begins, of.u_start, of.u_end
         if self.cut:
             v0 = xp.where(p.low < 0, 0.0, fraction(p.low))
             v1 = xp.where(last, 1.0, fraction(p.high))
             duration, start = whole * (v1 - v0), begins + whole * v0
-            width = p.u_end - p.u_start
-            u_start, u_end = p.u_start + width * v0, p.u_start + width * v1
+            width = of.u_end - of.u_start
+            u_start, u_end = of.u_start + width * v0, of.u_start + width * v1
         # The middle of a piece defines its stretch: at its start rounding would decide.
         middle = start + 0.5 * duration
         within = xp.clip(xp.searchsorted(sensor.times, middle, side="right") - 1, 0, sensor.slope.shape[0] - 1)
@@ -119,18 +112,17 @@ class Schedule(PytreeModule):
             duration=duration,
             u_start=u_start,
             u_end=u_end,
-            terms=p.terms * self.peak_rate[p.move][:, None],
+            terms=of.terms * self.peak_rate[p.move][:, None],
             share=xp.ones(duration.shape),
             level=sensor.level[within] + sensor.slope[within] * since,
             slope=sensor.slope[within],
             excess=sensor.excess[within] * (1.0 if thermal_lag is None else xp.exp(-sensor.lag_rate * since)),
             lag_rate=sensor.lag_rate,
-            read=p.read & last,
-            at_rest=p.at_rest & (last | ~p.moving),
-            moving=p.moving,
+            read=of.read & last,
+            at_rest=of.at_rest & (last | ~of.moving),
+            moving=of.moving,
             gap=p.gap,
             segment=p.segment,
-            moving_pieces=self.moving_pieces,
             varying_pieces=self.varying_pieces,
             rates=self.rates,
             points=self.points,
@@ -161,18 +153,14 @@ def make_schedule(
     count = len(segment)
     whole = np.full(count, _NO_KNOT)
     move = np.repeat(np.array([move for move, _ in placed]), sizes)
-    gap = np.isin(segment, np.array(gaps, int))
-    beside = {"gap": gap, "segment": segment, "low": whole, "high": whole}
-    pieces = Pieces(move=move, **{name: np.asarray(of) for name, of in table._asdict().items()}, **beside)
+    pieces = Pieces(table, move, np.isin(segment, np.array(gaps, int)), segment, whole, whole)
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
-    moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
     schedule = Schedule(
-        duration, peak, ramp, programme, pieces, moving,
-        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates,
-        points,
+        duration, peak, ramp, programme, pieces, np.flatnonzero(pieces.of.varying),
+        fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates, points,
     )  # fmt: skip
     return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule
 
@@ -181,23 +169,16 @@ def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
     """Divide pieces at the instants at which the chamber changes its slope, so that every piece is smooth."""
     line, times = schedule.trajectory(), schedule.programme.times()
     begin, end = line.start, line.start + line.duration
-    source, low, high = [], [], []
-    inside = {
-        int(k): [j for j in knots if begin[k] < times[j] - _AT_KNOT and end[k] > times[j] + _AT_KNOT]
-        for j0 in knots
-        for k in np.flatnonzero((begin < times[j0]) & (end > times[j0]))
-    }
-    for k in range(len(begin)):
-        bounds = [_NO_KNOT, *inside.get(k, []), _NO_KNOT]
-        for a, b in pairwise(bounds):
-            source.append(k)
-            low.append(a)
-            high.append(b)
-    at = np.array(source)
-    fields = {name: getattr(schedule.pieces, name)[at] for name in schedule.pieces.__dataclass_fields__}
-    pieces = Pieces(**(fields | {"low": np.array(low), "high": np.array(high)}))
-    places = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
-    return eqx.tree_at(lambda s: (s.pieces, s.moving_pieces, s.varying_pieces), schedule, (pieces, *places))
+    at = times[list(knots)]
+    divided, k = np.nonzero((begin[:, None] < at - _AT_KNOT) & (end[:, None] > at + _AT_KNOT))
+    # A piece begins at its own begin, or at one of the knots within it.
+    number = np.concatenate([np.arange(len(begin)), divided])
+    low = np.concatenate([np.full(len(begin), _NO_KNOT), np.array(knots)[k]])
+    order = np.lexsort((low, number))
+    number, low = number[order], low[order]
+    high = np.where(np.diff(number, append=-1) == 0, np.append(low[1:], _NO_KNOT), _NO_KNOT)
+    pieces = replace(jax.tree.map(lambda of: of[number], schedule.pieces), low=low, high=high)
+    return replace(schedule, pieces=pieces, varying_pieces=np.flatnonzero(pieces.of.varying))
 
 
 def gradient_plan(
@@ -207,13 +188,14 @@ def gradient_plan(
     *,
     used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
+    divided: bool = True,
 ) -> Schedule:
     """Repeat the `moves`, each time with the moves `after` of other axes, as often as they fit into the used parts of a
     programme.
 
     `used`: (first, last) of the programme's stretches, last not included; None: all.
-    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end. Errors:
-    `ValueError` when the moves fit nowhere.
+    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end.
+    `divided`: pieces end where the chamber's slope changes. Errors: `ValueError` when the moves fit nowhere.
     """
     times = programme.times()
     own = sum(m.duration for m in moves)
@@ -250,8 +232,8 @@ def gradient_plan(
         raise ValueError(
             f"the moves take {own:.6g} s, longer than every used part of the temperature programme: shorten the moves"
         )
-    inner = [j for first, last in spans for j in range(first + 1, last)]
-    inner += [j for a, b in pairwise(spans) for j in range(a[1] + 1, b[0])]
+    parts = [*spans, *((a[1], b[0]) for a, b in pairwise(spans))] if divided else []
+    inner = [j for first, last in parts for j in range(first + 1, last)]
     fillers = [(m, a, b, np.pad(c, (0, len(numbers) - len(c)))) for m, a, b, c in fillers]
     return make_schedule(
         programme, numbers, placed, first_knot=spans[0][0], gaps=tuple(gaps), fillers=fillers, inner_knots=tuple(inner)

@@ -16,8 +16,10 @@ the rate outside that stage: the Earth's plus that of the outer axes.
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.polynomial.legendre import legvander
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
@@ -83,13 +85,10 @@ def _seen(inner: AnyArray, direction: AnyArray) -> AnyArray:
 def rotation(axis: Float[AnyArray, " 3"], angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 3 3"]:
     """Rotation by `angle` (rad) about a unit vector (Rodrigues)."""
     xp = namespace(axis, angle)
-    zero = xp.zeros(())
-    x, y, z = axis
-    cross = xp.stack([xp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])
-    lead = (1,) * np.ndim(angle)
-    cross, outer, one = (xp.reshape(m, (*lead, 3, 3)) for m in (cross, axis[:, None] * axis[None, :], np.eye(3)))
+    parts = np.eye(3), cross(axis[None, :], np.eye(3)).T, axis[:, None] * axis[None, :]
+    one, skew, outer = (xp.reshape(part, (*(1,) * np.ndim(angle), 3, 3)) for part in parts)
     c, s = xp.cos(angle)[..., None, None], xp.sin(angle)[..., None, None]
-    return c * one + s * cross + (1.0 - c) * outer
+    return c * one + s * skew + (1.0 - c) * outer
 
 
 # Nodes for cubic polynomials in temperature and rate, smallest number for a turn, and nodes per rad: sines of an angle
@@ -97,11 +96,10 @@ def rotation(axis: Float[AnyArray, " 3"], angle: Float[AnyArray, "*s"]) -> Float
 _LEAST_NODES = 12
 _FEWEST = 16
 _NODES_PER_RAD = 0.75
-_ROUNDING_OF_NODES = 1e-12
 # Angles that differ by less (rad) are the same pose.
 _SAME_POSE = 1e-9
-# Bisections that locate a crossing, to 2^-45 of the distance of two nodes.
-_HALVINGS = 45
+# Places for each node at which a crossing is looked for; bisections that locate it, to 2^-45 of their distance.
+_FINE, _HALVINGS = 16, 45
 # A rate's distance from a break that is rounding, as a share of the largest break.
 _ROUNDING = 1e-14
 # Divisions by plays nearer than this to an end of a piece, as a share of it, divide nothing: a play is continuous.
@@ -114,7 +112,8 @@ class TableMotion(PytreeModule):
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
     whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
     points of the temperature before the motion, in order. `divisions`: the divisions of the plan's line by which the
-    pieces arose, in order (`Trajectory.divided`).
+    pieces arose, in order (`Trajectory.divided`). `waves`: the fastest wave in a column, in cycles a turn; 0: columns
+    depend on the angles at the ends of pieces alone; None: on none. `least`: nodes of a turning piece without waves.
     """
 
     line: Trajectory
@@ -127,6 +126,8 @@ class TableMotion(PytreeModule):
     nodes: Int[np.ndarray, " K"]
     history: Float[AnyArray, " H"] | None = None
     divisions: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+    waves: int | None = eqx.field(static=True, default=3)
+    least: int = eqx.field(static=True, default=_FEWEST)
 
     @once
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
@@ -174,11 +175,6 @@ def nodes_of_turn(turned: Float[np.ndarray, " K"], waves: int) -> Int[np.ndarray
     return _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
 
 
-def largest_turn(nodes: int, waves: int) -> float:
-    """The largest turn (rad) for which so many nodes suffice; rounding asks for no further one."""
-    return (nodes - _LEAST_NODES) * (1.0 - _ROUNDING_OF_NODES) / (_NODES_PER_RAD * waves)
-
-
 def table_motion(
     line: Trajectory,
     axis: Int[np.ndarray, " P"],
@@ -188,8 +184,7 @@ def table_motion(
     waves: int | None = 3,
     least: int = _FEWEST,
 ) -> TableMotion:
-    """A motion whose numbers are known. `waves`: the fastest wave in a column, in cycles a turn; 0: columns depend on
-    the angles at the ends of pieces alone; None: on none. `least`: nodes of a turning piece without waves."""
+    """A motion whose numbers are known. `waves`, `least`: see `TableMotion`."""
     each = np.arange(line.piece_count)
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
@@ -212,7 +207,7 @@ def table_motion(
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
     sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
     nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)
-    return TableMotion(line, axis, mounting, geometry, start_angles, kind, example, nodes)
+    return TableMotion(line, axis, mounting, geometry, start_angles, kind, example, nodes, waves=waves, least=least)
 
 
 def _alike(key: Float[np.ndarray, "c P"]) -> tuple[np.ndarray, np.ndarray]:
@@ -228,16 +223,12 @@ def _alike(key: Float[np.ndarray, "c P"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def divided_motion(
-    motion: TableMotion,
-    temperature_breaks: tuple[float, ...],
-    rate_breaks: dict[int, tuple[float, ...]],
-    waves: int | None = 3,
-    least: int = _FEWEST,
+    motion: TableMotion, temperature_breaks: tuple[float, ...], rate_breaks: dict[int, tuple[float, ...]]
 ) -> TableMotion:
     """The motion with its pieces divided where functions of temperature or rate are not smooth (bins, B-splines).
 
     `temperature_breaks` °C; `rate_breaks` rad/s of the gyro along each of the body's axes, against the stars: the
-    Earth's rate belongs to what it measures. `waves`, `least`: as for `table_motion`. Numbers must be known.
+    Earth's rate belongs to what it measures. Numbers must be known.
     """
     if not temperature_breaks and not rate_breaks:
         return motion
@@ -247,12 +238,10 @@ def divided_motion(
         alike, own = np.flatnonzero(motion.kind == kind), of_kinds[kinds == kind]
         pieces = np.concatenate([pieces, np.repeat(alike, len(own))])
         at = np.concatenate([at, np.tile(own, len(alike))])
-    return _divided(motion, pieces, at, EDGE, waves, least)
+    return _divided(motion, pieces, at, EDGE)
 
 
-def _divided(
-    motion: TableMotion, pieces: np.ndarray, at: np.ndarray, edge: float, waves: int | None, least: int
-) -> TableMotion:
+def _divided(motion: TableMotion, pieces: np.ndarray, at: np.ndarray, edge: float) -> TableMotion:
     """The motion with `pieces` divided at the fractions `at`, of those within `edge` at the first."""
     if not len(pieces):
         return motion
@@ -262,18 +251,16 @@ def _divided(
     division = pieces[apart], at[apart]
     line, source = motion.line.divided(*division)
     of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
-    whole = table_motion(line, *of_pieces, waves, least)
-    return replace(whole, history=motion.history, divisions=(*motion.divisions, division))
+    made = table_motion(line, *of_pieces, motion.waves, motion.least)
+    return replace(made, history=motion.history, divisions=(*motion.divisions, division))
 
 
-def motion_divided_by_plays(
-    motion: TableMotion, widths: tuple[float, ...], waves: int | None = 3, least: int = _FEWEST
-) -> TableMotion:
+def motion_divided_by_plays(motion: TableMotion, widths: tuple[float, ...]) -> TableMotion:
     """The motion with its pieces divided where the temperature turns, and where plays of these half-widths (K) begin or
-    cease to follow it, so that they are smooth on every piece. Numbers must be known; the rest as `divided_motion`."""
+    cease to follow it, so that they are smooth on every piece. Numbers must be known."""
     turning, at = turning_points(motion.line)
     inside = (at > _PLAY_EDGE) & (at < 1.0 - _PLAY_EDGE)
-    motion = _divided(motion, turning[inside], at[inside], 0.0, waves, least)
+    motion = _divided(motion, turning[inside], at[inside], 0.0)
     line, (begin, end) = motion.line, motion.line.ends()
     pieces, places = [np.zeros(0, int)], [np.zeros(0)]
     earlier = begin[:1] if motion.history is None else np.append(motion.history, begin[0])
@@ -287,7 +274,7 @@ def motion_divided_by_plays(
             places.append(at)
     piece, place = np.concatenate(pieces), np.concatenate(places)
     inside = (place > _PLAY_EDGE) & (place < 1.0 - _PLAY_EDGE)
-    return _divided(motion, piece[inside], place[inside], _PLAY_EDGE, waves, least)
+    return _divided(motion, piece[inside], place[inside], _PLAY_EDGE)
 
 
 def _rate_crossings(motion: TableMotion, breaks: dict[int, tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray]:
@@ -296,48 +283,24 @@ def _rate_crossings(motion: TableMotion, breaks: dict[int, tuple[float, ...]]) -
     kinds, places = [np.zeros(0, int)], [np.zeros(0)]
     for count in np.unique(motion.nodes[motion.nodes > 1]) if breaks else ():
         every = np.flatnonzero(motion.nodes == count)
-        grid = np.broadcast_to(np.linspace(0.0, 1.0, 2 * int(count) + 1), (len(every), 2 * int(count) + 1))
-        seen = _body_rate(motion, every, before, grid)
+        # So fine that a turning point between two of its places hardly leaves the side of both.
+        grid = np.linspace(0.0, 1.0, _FINE * int(count) + 1)
+        seen = _body_rate(motion, every, before, np.broadcast_to(grid, (len(every), len(grid))))
         for axis, levels in breaks.items():
             slack = _ROUNDING * max(map(abs, levels), default=0.0)
             for level in levels:
-                number, place = _crossed(motion, every, before, grid, seen[..., axis], axis, level - slack)
-                kinds.append(number)
-                places.append(place)
+                above = seen[..., axis] >= level - slack
+                row, k = np.nonzero(above[:, 1:] != above[:, :-1])
+                low, high = grid[k], grid[k + 1]
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (low + high)
+                    now = _body_rate(motion, every[row], before, middle[:, None])[:, 0, axis] >= level - slack
+                    low, high = np.where(now == above[row, k], [middle, high], [low, middle])
+                kinds.append(every[row])
+                places.append(0.5 * (low + high))
     kind, place = np.concatenate(kinds), np.concatenate(places)
     inside = (place > EDGE) & (place < 1.0 - EDGE)
     return kind[inside], place[inside]
-
-
-def _crossed(motion, kinds, before, grid, seen, axis: int, level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rate `seen` at the fractions `grid` of the `kinds` crosses a level: kinds, and fractions."""
-
-    def above(number: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return _body_rate(motion, kinds[number], before, v[:, None])[:, 0, axis] >= level
-
-    over = seen >= level
-    row, k = np.nonzero(over[:, 1:] != over[:, :-1])
-    number, low, high = row, grid[row, k], grid[row, k + 1]
-    # A turning point between nodes of the same side: the vertex of a parabola through three nodes.
-    left, right = seen[:, 1:-1] - seen[:, :-2], seen[:, 2:] - seen[:, 1:-1]
-    same = (over[:, 1:-1] == over[:, :-2]) & (over[:, 1:-1] == over[:, 2:])
-    row, k = np.nonzero((left * right < 0.0) & ((left > 0.0) != over[:, 1:-1]) & same)
-    if len(row):
-        bend = right[row, k] - left[row, k]
-        vertex = grid[row, k + 1] - 0.5 * (left + right)[row, k] / bend * (grid[row, k + 2] - grid[row, k + 1])
-        beyond = above(row, vertex) != over[row, k + 1]
-        row, k, vertex = row[beyond], k[beyond], vertex[beyond]
-        number = np.concatenate([number, row, row])
-        low = np.concatenate([low, grid[row, k], vertex])
-        high = np.concatenate([high, vertex, grid[row, k + 2]])
-    if not len(number):
-        return kinds[number], low
-    began = above(number, low)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        same = above(number, middle) == began
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return kinds[number], 0.5 * (low + high)
 
 
 def _body_rate(motion: TableMotion, kinds: np.ndarray, before, v: np.ndarray) -> np.ndarray:
@@ -426,9 +389,6 @@ def body_group(
 
 
 def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The interpolating polynomials of `points` `(m,)`, at the places `at` `(q,)`: `(q, m)`."""
-    apart = points[:, None] - points[None, :] + np.eye(len(points))
-    others = np.where(
-        np.eye(len(points), dtype=bool)[None], 1.0, (at[:, None, None] - points[None, None, :]) / apart[None]
-    )
-    return np.prod(others, axis=-1)
+    """The interpolating polynomials of `points` `(m,)` in [0, 1], at the places `at` `(q,)`: `(q, m)`."""
+    of = lambda x: legvander(2.0 * x - 1.0, len(points) - 1)  # noqa: E731
+    return np.linalg.solve(of(points).T, of(at).T).T

@@ -32,8 +32,8 @@ class Trajectory(PytreeModule):
 
     `read`: a reading at the end of the piece, which represents `share` readings; `at_rest`: the axis stands then;
     `moving`: the rate is not zero throughout; `gap`: its data are not used, and a new origin is read at its end;
-    `segment` numbers the moves. `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
-    pieces. `rates`, `points`: see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
+    `segment` numbers the moves. `varying_pieces`: the numbers of those whose rate is not constant. `rates`, `points`:
+    see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
     """
 
     start: Float[AnyArray, " P"]
@@ -51,7 +51,6 @@ class Trajectory(PytreeModule):
     moving: Bool[AnyArray, " P"]
     gap: Bool[AnyArray, " P"]
     segment: Int[AnyArray, " P"]
-    moving_pieces: Int[AnyArray, " K"]
     varying_pieces: Int[AnyArray, " V"]
     rates: bool = eqx.field(static=True, default=False)
     points: Literal["one run", "independent"] = eqx.field(static=True, default="one run")
@@ -148,13 +147,12 @@ class Trajectory(PytreeModule):
             "read": self.read[source] & last,
             "at_rest": self.at_rest[source] & (last | ~self.moving[source]),
         }
-        places = {name: np.flatnonzero(np.isin(source, getattr(self, name))) for name in _PLACES}
-        return replace(self, **changes, **places), source
+        varying = np.flatnonzero(np.isin(source, self.varying_pieces))
+        return replace(self, **changes, varying_pieces=varying), source
 
 
-_PLACES = ("moving_pieces", "varying_pieces")
-_SINGLE = ("lag_rate", "rates", "points", "lagged")
-_OF_PIECES = tuple(f.name for f in fields(Trajectory) if f.name not in (*_PLACES, *_SINGLE))
+_SINGLE = ("varying_pieces", "lag_rate", "rates", "points", "lagged")
+_OF_PIECES = tuple(f.name for f in fields(Trajectory) if f.name not in _SINGLE)
 
 
 def held(
@@ -177,7 +175,7 @@ def held(
     slope = np.where(duration > 0.0, (temperature_end - temperature) / np.where(duration > 0.0, duration, 1.0), 0.0)
     return Trajectory(
         start, duration, none, np.ones(count), rate[:, None] * np.array([formulas.CONSTANT]), np.ones(count),
-        temperature, slope, none, np.zeros(()), read, at_rest, moving, gap, np.arange(count), np.flatnonzero(moving),
+        temperature, slope, none, np.zeros(()), read, at_rest, moving, gap, np.arange(count),
         np.zeros(0, int), rates, points,
     )  # fmt: skip
 

@@ -1,15 +1,15 @@
 """Alignment of another logger's recording with the run's clock, by the motion.
 
-The table's track is the readings of its angles, θ_k at the run's times t_k. The unit's track is A(u), its rate
+The table's track is the readings of one axis, θ_k at the run's times t_k. The unit's track is A(u), its rates
 integrated over its own clock u. With the clocks related by
 
     t = offset + rate · (u − middle)
 
-the turns between neighbouring readings follow the integrated rate: θ_k − θ_{k−1} = s·(A(u_k) − A(u_{k−1})) + b·(t_k −
-t_{k−1}) + e_k. What a reading tells of the offset is the change of the rate since the one before: the beginnings and
-ends of turns.
+the turns between neighbouring readings follow the integrated rates: θ_k − θ_{k−1} = s·(A(u_k) − A(u_{k−1})) + b·(t_k −
+t_{k−1}) + e_k, where s is the direction of the table's axis in the unit, by least squares. What a reading tells of the
+offset is the change of the rate since the one before: the beginnings and ends of turns.
 
-The coarse offset comes first: the rates of both tracks are correlated on a coarse grid, and the best offsets are
+The coarse offset comes first: the speeds of both tracks are correlated on a coarse grid, and the best offsets are
 refined. An offset is accepted only where no other fits nearly as well. Motion in the recording and not in the run,
 *and* in the run and not in the recording, counts against an offset: otherwise a cyclic plan would fit by any of its
 cycles.
@@ -22,7 +22,6 @@ and so part of the offset.
 import importlib
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -67,27 +66,6 @@ class AngleTrack:
     angle_deg: Floats
 
 
-class _Unit:
-    """One axis of the recording: its rate, and the angle that it makes."""
-
-    def __init__(self, time_s: Floats, rate_dps: Floats) -> None:
-        known = np.isfinite(rate_dps)
-        self.time_s, rate = time_s[known], rate_dps[known]
-        self.rate_dps = rate - float(np.median(rate))
-        steps = np.diff(self.time_s)
-        self.angle_deg = np.concatenate(([0.0], np.cumsum(0.5 * steps * (self.rate_dps[1:] + self.rate_dps[:-1]))))
-        # The angle turned across a gap is unknown.
-        self.part = np.concatenate(([0], np.cumsum(steps > 5.0 * np.median(steps))))
-
-    def at(self, times_s: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Angle, rate and unbroken part; part −1 outside, and in gaps."""
-        row = np.searchsorted(self.time_s, times_s, side="right") - 1
-        before, after = row.clip(0), (row + 1).clip(max=len(self.time_s) - 1)
-        inside = (row >= 0) & (row + 1 < len(self.time_s)) & (self.part[before] == self.part[after])
-        angle = np.interp(times_s, self.time_s, self.angle_deg)
-        return angle, np.interp(times_s, self.time_s, self.rate_dps), np.where(inside, self.part[before], -1)
-
-
 class _Place(NamedTuple):
     """A line near which the tracks agree: `u = middle + (t − offset_s) / (1 + excess)`."""
 
@@ -96,35 +74,47 @@ class _Place(NamedTuple):
     misfit: float
     """The fraction of the table's motion (sum of squared turns) that is missing in the recording."""
     scale: float
+    """Turns of the table over those of the unit, of its only axis with their sign."""
     rest: Floats
     """Residuals `(turns,)` by their weights, and their slopes over offset and excess."""
     slopes: Floats
 
 
-def align(time_s: Floats, rate_dps: Floats, track: AngleTrack) -> Alignment:
-    """Align a recording with the run's clock: its times `(n,)`, s, by its own clock, and its rate `(n,)`, deg/s, about
-    the axis of the track.
+def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
+    """Align a recording with the run's clock: its times `(n,)`, s, by its own clock, and its rates `(n, axes)`, deg/s.
 
     Raises `NoAlignment` where nothing fits, several places fit, or the place is not known to 0.05 s.
     """
     if len(track.time_s) < 3 or float(np.ptp(track.angle_deg)) < 1.0:
-        raise NoAlignment("the run did not turn the axis of the recording")
-    unit, middle_s = _Unit(time_s, rate_dps), float(0.5 * (time_s[0] + time_s[-1]))
-    places = [_refined(unit, track, middle_s, *place) for place in _places(unit, track)]
+        raise NoAlignment("the run did not turn any axis of the recording")
+    known = np.isfinite(rates_dps).all(axis=1)
+    time_s, rates = time_s[known], rates_dps[known] - np.median(rates_dps[known], axis=0)
+    steps = np.diff(time_s)[:, None]
+    angles = np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(0.5 * steps * (rates[1:] + rates[:-1]), axis=0)])
+    table = np.diff(track.angle_deg, prepend=track.angle_deg[0])
+    speeds = (
+        _on_grid(track.time_s, np.cumsum(np.abs(table))),
+        _on_grid(time_s, np.cumsum(np.linalg.norm(np.diff(angles, axis=0, prepend=angles[:1]), axis=1))),
+    )
+    begins_s, middle_s = float(track.time_s[0] - time_s[0]), float(0.5 * (time_s[0] + time_s[-1]))
+    places = [
+        _refined(time_s, rates, angles, track, middle_s, begins_s + lag_s, outside)
+        for lag_s, outside in _places(*speeds)
+    ]
     places.sort(key=lambda place: place.misfit)
     if not places:
         raise NoAlignment(f"no rate in the recording agrees with the motion of the table: {_ANOTHER}")
     best = places[0]
-    if best.scale < 0.0:
-        raise NoAlignment(
-            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
-            "in the column map"
-        )
-    if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
+    if best.misfit > _MISFIT or not 0.8 < abs(best.scale) < 1.25:
         raise NoAlignment(
             "the recording does not agree with the motion of the table: at the best alignment "
             f"{100.0 * best.misfit:.0f} % of the motion is missing, and the sensor measures "
             f"{1.0 / best.scale:.2f} times the turns of the table; {_ANOTHER}"
+        )
+    if best.scale < 0.0:
+        raise NoAlignment(
+            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
+            "in the column map"
         )
     others = [place for place in places if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
@@ -142,45 +132,59 @@ def align(time_s: Floats, rate_dps: Floats, track: AngleTrack) -> Alignment:
     return alignment
 
 
-def _places(unit: _Unit, track: AngleTrack) -> list[tuple[float, float]]:
-    """Where the rates agree best: host time less recorded time, and the fraction of motion outside."""
-    on_grid = list[Floats]()
-    for time_s, angle_deg in ((track.time_s, track.angle_deg), (unit.time_s, unit.angle_deg)):
-        edges = np.arange(time_s[0], time_s[-1] + 2.0 * _GRID_S, _GRID_S)
-        on_grid.append(np.diff(np.interp(edges, time_s, angle_deg)) / _GRID_S)
-    table, sensed = on_grid
+def _on_grid(time_s: Floats, way_deg: Floats) -> Floats:
+    """The mean speed in each step of the grid, of a way at some times."""
+    edges = np.arange(time_s[0], time_s[-1] + 2.0 * _GRID_S, _GRID_S)
+    return np.diff(np.interp(edges, time_s, way_deg)) / _GRID_S
+
+
+def _places(table: Floats, sensed: Floats) -> list[tuple[float, float]]:
+    """Where the speeds agree best: by how much later the recording begins, and the fraction of motion outside."""
     signal: Any = importlib.import_module("scipy.signal")
-    # Σ left[i + lag] · right[i] for lags −(number of sensed − 1) … number of the table's − 1.
-    against = partial(signal.correlate, method="fft")
+
+    def against(left: Floats, right: Floats) -> Floats:
+        """Σ left[i + lag] · right[i] for lags −(number of sensed − 1) … number of the table's − 1."""
+        return signal.correlate(left, right, method="fft")
+
     inside_t, inside_u = against(table**2, np.ones(len(sensed))), against(np.ones(len(table)), sensed**2)
     total_t, total_u = float(table @ table), float(sensed @ sensed)
     enough = (inside_t > 0.1 * total_t) & (inside_u > 1e-6 * total_t)
     likeness = np.where(enough, against(table, sensed), 0.0) / np.sqrt(np.where(enough, inside_t * inside_u, 1.0))
     outside = np.minimum(total_t - inside_t, total_u - inside_u).clip(0.0) / total_t
     peaks: list[tuple[float, float]] = []
-    score = np.abs(likeness) - outside
+    score = likeness - outside
     for place in np.argsort(-score)[: 50 * _PLACES]:
-        lag_s = float(track.time_s[0] - unit.time_s[0]) + _GRID_S * (int(place) - (len(sensed) - 1))
+        lag_s = _GRID_S * (int(place) - (len(sensed) - 1))
         if score[place] > 0.3 and all(abs(lag_s - other) > _APART_S for other, _ in peaks):
             peaks.append((lag_s, float(outside[place])))
     return peaks[:_PLACES]
 
 
-def _refined(unit: _Unit, track: AngleTrack, middle_s: float, lag_s: float, outside: float) -> _Place:
-    """The best line near an offset for the turns between consecutive readings, with a scale and a bias."""
+def _refined(
+    time_s: Floats, rates: Floats, angles: Floats, track: AngleTrack, middle_s: float, lag_s: float, outside: float
+) -> _Place:
+    """The best line near an offset for the turns between consecutive readings, with a direction and a bias."""
     turned, apart = np.diff(track.angle_deg), np.diff(track.time_s)
-    offset_s = lag_s + middle_s
+    offset_s, usual_s = lag_s + middle_s, float(np.median(np.diff(time_s)))
+    # The angle turned across a gap is unknown.
+    part: Any = np.cumsum(np.diff(time_s, prepend=time_s[0]) > 5.0 * usual_s)
 
-    def left(line: Floats) -> tuple[Floats, Floats, Floats, float]:
-        """Residuals of the turns, zero where they are not known, these turns, their weights, and the scale."""
-        angle, rate, part = unit.at(middle_s + (track.time_s - line[0]) / (1.0 + line[1]))
-        keep = (part[1:] >= 0) & (part[1:] == part[:-1]) & (apart < _LONGEST_S)
-        variance = _NOISE_DEG**2 + (_JITTER_S * rate) ** 2
+    def at(times_s: Floats, values: Floats) -> Floats:
+        columns: list[Floats] = [np.interp(times_s, time_s, one) for one in values.T]
+        return np.stack(columns, axis=1)
+
+    def left(line: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Residuals of the turns, zero where they are not known, these turns, their weights, and the direction."""
+        times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
+        row: NDArray[np.int64] = np.asarray(np.searchsorted(time_s, times_s), np.int64).clip(1, len(time_s) - 1)
+        inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
+        keep = inside[1:] & inside[:-1] & (part[row[1:]] == part[row[:-1]]) & (apart < _LONGEST_S)
+        variance: Floats = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)
         weight = 1.0 / np.sqrt(variance[1:] + variance[:-1])
-        known = np.where(keep, turned, 0.0)
-        design = np.where(keep, [np.diff(angle), apart], 0.0).T
-        solution = np.asarray(np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0], np.float64)
-        return known - design @ solution, known, weight, float(solution[0])
+        design: Floats = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
+        known: Floats = turned * keep
+        solution: Any = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
+        return known - design @ solution, known, weight, solution[:-1]
 
     def weighted(line: Floats) -> Floats:
         rest, _, weight, _ = left(line)
@@ -190,9 +194,10 @@ def _refined(unit: _Unit, track: AngleTrack, middle_s: float, lag_s: float, outs
     bounds = [offset_s - _APART_S, -_CREDIBLE], [offset_s + _APART_S, _CREDIBLE]
     scales = [1e-2, 1e-5]
     fit = optimize.least_squares(weighted, [offset_s, 0.0], bounds=bounds, x_scale=scales, xtol=1e-12)
-    rest, known, _, scale = left(fit.x)
+    rest, known, _, direction = left(fit.x)
     power = float(known @ known)
     misfit = float(rest @ rest) / power + outside if np.count_nonzero(known) > 12 and power > 0.0 else 1.0
+    scale = float(direction[0] if len(direction) == 1 else np.linalg.norm(direction))
     return _Place(float(fit.x[0]), float(fit.x[1]), misfit, scale, fit.fun, fit.jac)
 
 

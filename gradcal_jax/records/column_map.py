@@ -20,8 +20,6 @@ from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-columns/1"
 Name = Annotated[Text, Field(max_length=100)]
-DELIMITERS: Final = {"tab": "\t", "whitespace": None}
-"""Words for delimiters, and the characters that they stand for."""
 
 
 class Source(Section):
@@ -128,8 +126,8 @@ class TemperatureColumn(Measured):
 class TextTable(Section):
     """Layout of a text file."""
 
-    delimiter: Annotated[str, Field(min_length=1, max_length=10)] = ","
-    """Character between columns: ",", ";", "tab" or "whitespace"."""
+    delimiter: Literal[",", ";", "|", "tab", "whitespace"] = ","
+    """Character between columns."""
     header: Flag = True
     """Whether a line names the columns: the first that has all names of the map."""
     skip: Whole = 0
@@ -141,25 +139,14 @@ class TextTable(Section):
     encoding: Text = "utf-8-sig"
     """Encoding of the file's text."""
 
-    @field_validator("encoding")
-    @classmethod
-    def _codec(cls, value: str) -> str:
-        try:
-            "".encode(value)
-        except (LookupError, ValueError):
-            raise ValueError('expected the name of an encoding, such as "utf-8", "latin-1" or "utf-16"') from None
-        return value
-
     def _problems(self) -> Iterator[Problem]:
         if self.decimal == self.delimiter:
             yield Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"')
 
-    @field_validator("delimiter")
-    @classmethod
-    def _known(cls, value: str) -> str:
-        if value not in DELIMITERS and (len(value) != 1 or value in ' "\n\r' or value.isalnum()):
-            raise ValueError('expected one character such as "," or ";", or "tab" or "whitespace"')
-        return value
+    @property
+    def mark(self) -> str | None:
+        """The character between columns; None: blanks."""
+        return {"tab": "\t", "whitespace": None}.get(self.delimiter, self.delimiter)
 
 
 class StatusColumn(Source):
@@ -254,6 +241,15 @@ class ColumnMap(Section):
         }
         named["marked"] = self.status
         return {name: column for name, column in named.items() if column is not None}
+
+    def sources(self) -> list[Source]:
+        """The columns."""
+        return list(self.named().values())
+
+    def wheres(self) -> list[Where]:
+        """The columns that select rows."""
+        own = [one.where for one in self.sources() if isinstance(one, Measured)]
+        return [one for one in (*own, self.where) if one is not None]
 
 
 def parse_column_map(text: str, source: str = "") -> ColumnMap:

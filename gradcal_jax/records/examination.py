@@ -1,8 +1,9 @@
 """From the columns of a recording to a log: every row is used, masked or removed, and counted by its reason.
 
-A row whose time stamp does not fit is removed; a row without a number, or marked, saturated or frozen, is masked; a gap
-begins a new stretch (`stamps`, `signal_checks`). What would need a guess is a question: stamps that are not of one even
-clock, and values that no sensor has in the unit that the column map states.
+A row whose time stamp does not fit is removed; a row without a number, or marked, at full scale or with a false
+temperature is masked; a gap begins a new stretch (`stamps`). What would need a guess is a question: stamps that are not
+of one even clock, and values that no sensor has in the unit that the column map states. What channels show by
+themselves is looked for where a log is used (`signal_checks`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,14 +24,19 @@ from gradcal_jax.records.log import (
     mean_interval,
     without_masked,
 )
-from gradcal_jax.records.signal_checks import at_a_limit, frozen_temperature, jumped_temperature, wrapped
-from gradcal_jax.records.stamps import ABSURD, Findings, Policy, counted, rows_in_order, stretches, wander
+from gradcal_jax.records.signal_checks import frozen_temperature, jumped_temperature
+from gradcal_jax.records.stamps import ABSURD, Findings, Policy, counted, rows_in_order, stretches
 
-# Clock errors: possible with any crystal, and no clock error.
+# Errors of a clock that are not a crystal's, and those of another rate.
 _DRIFT, _OTHER_RATE = 50e-6, 0.2
 _PLAUSIBLE: Final[Mapping[str, tuple[float, float, str]]] = {
     "interval": (2e-5, 1.5, "time stamps are {1:.3g} s apart: are they in another unit?"),
-    "duration": (0.0, 14 * 86400.0, "time stamps span {1:.3g} s: are they in another unit?"),
+    "duration": (
+        0.0,
+        14 * 86400.0,
+        "time stamps span {1:.3g} s: are they in another unit, or do they change to another clock, for example from "
+        "the time since start to the time of day (read the parts with --rows)?",
+    ),
     "rate": (0.0, 90.0, "the rates of {0} reach {1:.3g} rad/s: does the column map state a unit that is too large?"),
     "force": (2.0, 500.0, "the specific force of {0} is usually {1:.3g} m/s²: is its unit g, or counts?"),
     "temperature": (-100.0, 200.0, "the temperature of {0} is about {1:.0f} degC: is its unit K, degF, or counts?"),
@@ -39,6 +45,12 @@ _PLAUSIBLE: Final[Mapping[str, tuple[float, float, str]]] = {
         float(np.radians(300.0)) / 60.0,
         "{0} has a noise of {1:.3g} rad/√s, and no gyro is so noisy: does the column map state rad/s instead of deg/s, "
         "or s instead of ms?",
+    ),
+    "clock": (
+        1.0 - _OTHER_RATE,
+        1.0 + _OTHER_RATE,
+        "the intervals of the time stamps are {1:.6g} times those of the stated rate, {0}: are the time stamps in "
+        "another unit, or clock ticks, or is only every n-th sample recorded?",
     ),
 }
 """Of a statistic in SI the least and the largest value that a sensor has, and the question beyond these."""
@@ -59,9 +71,10 @@ class Columns:
     full_scale_rad_per_s: float | None = None
     increments: tuple[str, ...] = ()
     """The columns of rates that hold the angles turned since the row before, rad."""
+    left_out: int = 0
+    """Rows of the source that are not among these."""
     rows_before: int = 0
-    """Number of rows of the source before the first row here."""
-    rows_after: int = 0
+    """Those of them before the first row here."""
     simulated: bool = False
     provenance: dict[str, str] = field(default_factory=dict[str, str])
 
@@ -72,10 +85,10 @@ class Columns:
 
     def part(self, rows: tuple[int, int | None]) -> "Columns":
         """The rows between two numbers alone, the last not included. Raises `LogError` where there are none."""
-        first, last = rows[0], self.rows if rows[1] is None else min(rows[1], self.rows)
-        if last - first < 2:
-            raise LogError(f"the part from row {first} on has fewer than two rows; the log has {self.rows} rows")
-        return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=self.rows - last)
+        part = self.of_rows(slice(*rows))
+        if part.rows < 2:
+            raise LogError(f"the part from row {rows[0]} on has fewer than two rows; the log has {self.rows} rows")
+        return replace(part, rows_before=rows[0], left_out=self.rows - part.rows)
 
     def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
         """The same of some rows."""
@@ -93,7 +106,6 @@ class Columns:
 
 
 _OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature")
-_OF_TABLE: Final = ("table angle ", "table rate ")
 
 
 def at_rows_with_rates(columns: Columns) -> Columns:
@@ -107,9 +119,9 @@ def at_rows_with_rates(columns: Columns) -> Columns:
         )
     time: Floats = columns.values.get("time", np.arange(columns.rows, dtype=np.float64))
     joined = columns.of_rows(rated)
-    for name, values in columns.measured(*_OF_SENSOR[1:], *_OF_TABLE).items():
+    for name, values in columns.measured(*_OF_SENSOR[1:], "table ").items():
         joined.values[name] = interpolated(values, time, time[rated])
-    return replace(joined, rows_after=columns.rows - joined.rows)
+    return replace(joined, left_out=columns.rows - joined.rows)
 
 
 def interpolated(values: Floats, time: Floats, at: Floats) -> Floats:
@@ -133,30 +145,38 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
     **Raises:** `LogError` where the policy refuses a fault, and where fewer than two rows are left.
     """
     found = Findings(policy or Policy())
-    outside = columns.rows_before + columns.rows_after
-    if outside:
-        found.removed[Reason.LEFT_OUT.words] = outside
+    if columns.left_out:
+        found.removed[Reason.LEFT_OUT.words] = columns.left_out
+    kept = columns
     # Absurd numbers may overflow or divide by zero; the result is absurd too, and compared as such.
     with np.errstate(all="ignore"):
-        kept, time = _timed(_with_values(columns, found), found)
+        if "time" in columns.values:
+            kept = columns.of_rows(rows_in_order(columns.values["time"], found, columns.rows_before))
+            time = kept.values["time"]
+        elif columns.sample_rate_hz is None:
+            raise LogError("the column map has neither a column of time stamps nor a sample rate: give one of them")
+        else:
+            time = np.arange(columns.rows) / columns.sample_rate_hz
         time, starts = stretches(time, found)
         interval = mean_interval(time, intervals_within(time, starts))
         rates = {name: kept.values[name] / interval for name in columns.increments}
         kept, status = _masked(replace(kept, values=kept.values | rates), time, starts, found)
-        for name, value, what in _statistics(kept, time, status == 0):
+        for name, value, what in _statistics(kept, time, interval, status == 0):
             low, high, question = _PLAUSIBLE[name]
             if not low <= value <= high:
                 found.question("question", question.format(what, value))
-        _compare_clocks(kept, time, starts, found)
+            elif name == "clock" and abs(value - 1.0) > _DRIFT:
+                ppm = (value - 1.0) * 1e6
+                found.note("clock drift", f"the intervals of the time stamps are {ppm:+.0f} ppm longer than stated")
     (axes, gyros), (force_axes, forces) = kept.stacked("gyro"), kept.stacked("accelerometer")
     (angle_axes, angles), (rate_axes, table_rates) = kept.stacked("table angle"), kept.stacked("table rate")
-    of_unit = {name: kept.values[name][None] for name in _OF_SENSOR[2:] if name in kept.values}
+    warm = kept.values.get("temperature")
     log = Log(
         time_s=time,
         rate_rad_per_s=np.zeros((1, len(time), 0)) if gyros is None else gyros[None],
         units=(columns.sensor,),
         axes=axes,
-        temperature_c=of_unit.get("temperature"),
+        temperature_c=None if warm is None else warm[None],
         table_axes=angle_axes or rate_axes,
         table_angle_rad=angles,
         table_rate_rad_per_s=table_rates,
@@ -164,7 +184,7 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         host_time_s=kept.values.get("host time"),
         status=status[None],
         stretch_starts=starts,
-        rows_read=columns.rows + outside,
+        rows_read=columns.rows + columns.left_out,
         rows_removed=found.removed,
         findings=tuple(found),
         simulated=columns.simulated,
@@ -175,63 +195,33 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
     return without_masked(log)
 
 
-def _with_values(columns: Columns, found: Findings) -> Columns:
-    """Without rows of channels that the map does not name, if they are many: they are no rows of the record."""
-    channels = columns.measured(*_OF_SENSOR, *_OF_TABLE).values()
-    held = np.any([np.isfinite(values) for values in channels], axis=0)
-    count = int(np.count_nonzero(~held))
-    if "time" not in columns.values or count < max(20, 0.1 * len(held)) or len(held) - count < 2:
-        return columns
-    found.removed["empty row"] = count
-    found.rows("empty row", count, f"{counted(count)} have no value in any column of the map, and are left out")
-    return columns.of_rows(held)
-
-
-def _timed(columns: Columns, found: Findings) -> tuple[Columns, Floats]:
-    """The rows whose stamps increase, and these stamps."""
-    if "time" in columns.values:
-        columns = columns.of_rows(rows_in_order(columns.values["time"], found, columns.rows_before))
-        return columns, columns.values["time"]
-    if columns.sample_rate_hz is None:
-        raise LogError("the column map has neither a column of time stamps nor a sample rate: give one of them")
-    return columns, np.arange(columns.rows) / float(columns.sample_rate_hz)
-
-
 def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> tuple[Columns, Flags]:
-    """The columns without values in rows that are masked whatever they hold, and the status of the rows."""
+    """The columns without values in rows that are marked, and the status of the rows."""
     status = np.zeros(len(time), np.uint16)
 
     def mask(reason: Reason, rows: Bools, words: str) -> None:
-        count = int(np.count_nonzero(rows))
-        if count:
+        # What is marked has no value, and lacks none.
+        rows = rows & (status & Reason.MARKED.value == 0)
+        if count := int(np.count_nonzero(rows)):
             found.rows(reason.words, count, f"{counted(count)} {words}, first row {np.argmax(rows)}")
             status[rows] |= reason.value
 
     mask(Reason.MARKED, columns.values.get("marked", 0.0 * time) != 0.0, "marked bad by the device")
-    whole = status != 0
-    # What is masked whatever it holds has no value, and lacks none.
-    own = {name: np.where(whole, np.nan, values) for name, values in columns.measured(*_OF_SENSOR).items()}
+    own = {name: np.where(status != 0, np.nan, values) for name, values in columns.measured(*_OF_SENSOR).items()}
     columns = replace(columns, values=columns.values | own)
-
-    def lacking(kind: str) -> Bools:
-        known = [np.abs(values) < ABSURD for values in columns.measured(kind).values()]
-        return ~np.all(known, axis=0) & ~whole
-
-    mask(Reason.MISSING_RATE, lacking("gyro "), "without a rate")
-    limit, over = np.zeros_like(whole), np.zeros_like(whole)
-    full = columns.full_scale_rad_per_s
-    for rate in columns.measured("gyro ").values():
-        limit |= at_a_limit(rate) if full is None else np.abs(rate) >= full * (1 - 1e-9)
-        over |= wrapped(rate)
-    mask(Reason.SATURATED, limit, "at full scale, or stuck at the largest or smallest rate of the record")
-    words = "whose rate wrapped at full scale, from one end of its range to the other: choose a larger full scale"
-    mask(Reason.SATURATED, over, words)
-    mask(Reason.MISSING_FORCE, lacking("accelerometer "), "without a specific force")
-    warm = np.where(np.abs(own.get("temperature", time + np.nan)) < ABSURD, own.get("temperature", time), np.nan)
+    full = (columns.full_scale_rad_per_s or np.inf) * (1 - 1e-9)
+    for name, values in own.items():
+        if name.startswith("gyro"):
+            mask(Reason.MISSING_RATE, ~(np.abs(values) < ABSURD), f"without a rate ({name})")
+            mask(Reason.SATURATED, np.abs(values) >= full, f"at full scale ({name})")
+        elif name.startswith("accelerometer"):
+            mask(Reason.MISSING_FORCE, ~(np.abs(values) < ABSURD), f"without a specific force ({name})")
+    warm = own.get("temperature", time + np.nan)
+    warm = np.where(np.abs(warm) < ABSURD, warm, np.nan)
     if not np.isfinite(warm).any():
         return columns, status  # (A sensor without a thermometer lacks none.)
-    missing, jumped = ~np.isfinite(warm) & ~whole, jumped_temperature(warm, starts)
-    mask(Reason.MISSING_TEMPERATURE, missing, "without a temperature")
+    jumped = jumped_temperature(warm, starts)
+    mask(Reason.MISSING_TEMPERATURE, ~np.isfinite(warm), "without a temperature")
     words = "with a temperature that jumps for a while, as if the thermometer restarted or lost contact"
     mask(Reason.MISSING_TEMPERATURE, jumped, words)
     warm[jumped] = np.nan
@@ -245,57 +235,27 @@ def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> t
     return columns, status
 
 
-def _statistics(columns: Columns, time: Floats, usable: Bools) -> Iterator[tuple[str, float, str]]:
+def _statistics(columns: Columns, time: Floats, interval: float, usable: Bools) -> Iterator[tuple[str, float, str]]:
     """The statistics of a recording that have a plausible range, with what they are of."""
-    interval = float(np.median(np.diff(time)))
-    longest = float(np.max(np.diff(time)))
-    if columns.sample_rate_hz is None:
-        if interval < 1.5 and longest > max(0.5 * (time[-1] - time[0]), 14 * 86400.0):
-            raise LogError(
-                f"time stamps jump by {longest:.6g} s after row {np.argmax(np.diff(time))}: do they change to another "
-                "clock, for example from the time since start to the time of day? Read the parts with --rows"
-            )
-        yield "interval", interval, ""
+    usual, stated = float(np.median(np.diff(time))), columns.sample_rate_hz
+    if stated is None:
+        yield "interval", usual, ""
         yield "duration", float(time[-1] - time[0]), ""
+    elif "time" in columns.values:
+        yield "clock", interval * stated, f"{stated:g} Hz"
     if not usable.any():
         return
     warm = columns.values.get("temperature", time + np.nan)[usable]
     if np.isfinite(warm).any():
         yield "temperature", float(np.nanmedian(warm)), columns.sensor
     axes, forces = columns.stacked("accelerometer")
-    usual = 0.0 if forces is None else float(np.median(np.linalg.norm(forces[usable], axis=1)))
-    if len(axes) == 3 and usual > 0.5:
-        yield "force", usual, columns.sensor
+    force = 0.0 if forces is None else float(np.median(np.linalg.norm(forces[usable], axis=1)))
+    if len(axes) == 3 and force > 0.5:
+        yield "force", force, columns.sensor
     for axis, rates in columns.measured("gyro ").items():
         rate, where = rates[usable], f"{axis} of {columns.sensor}"
         yield "rate", float(np.percentile(np.abs(rate), 99)), where
-        yield "noise", _least_walk(rate, interval), where
-
-
-def _compare_clocks(columns: Columns, time: Floats, starts: Whole, found: Findings) -> None:
-    """The intervals of the stamps against the stated ones and each other, the sensor's clock against the computer's."""
-    within = intervals_within(time, starts)
-    stated, host = columns.sample_rate_hz, columns.values.get("host time")
-    if stated is not None and "time" in columns.values:
-        ratio = mean_interval(time, within) * stated
-        usual = float(np.median(np.diff(time))) * stated
-        text = f"the intervals of the time stamps are {usual:.6g} times those of the stated rate, {stated:g} Hz"
-        if abs(ratio - 1.0) > _OTHER_RATE:
-            asks = ": are the time stamps in another unit, or clock ticks, or is only every n-th sample recorded?"
-            found.question("question", text + asks)
-        elif abs(ratio - 1.0) > _DRIFT:
-            found.note("clock drift", f"{text}: {(ratio - 1.0) * 1e6:+.0f} ppm longer on average")
-    if host is not None and bool(np.all(np.abs(host) < ABSURD)) and len(host) > 2:
-        x, y = time - time.mean(), host - host.mean()
-        slope = float(x @ y / (x @ x))
-        # Stamps of the host jitter by milliseconds: only a larger deviation is drift.
-        uncertain = float(np.std(y - slope * x) / (np.std(x) * np.sqrt(len(x))))
-        if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
-            text = f"the sensor's clock is {(1 / slope - 1) * 1e6:+.0f} ppm fast relative to the computer's"
-            found.note("clock drift", text)
-    varies = wander(within)
-    if varies > _DRIFT:
-        found.note("clock drift", f"the sample interval varies by {varies * 1e6:.0f} ppm (rms) during the record")
+        yield "noise", _least_walk(rate, usual), where
 
 
 def _least_walk(values: Floats, interval: float) -> float:
@@ -319,7 +279,6 @@ def _numbered(standstill: Floats | None) -> Whole | None:
         return None
     known = np.where(np.isfinite(standstill), standstill, -1.0)
     if np.isin(known, (0.0, 1.0)).all():
-        still = known == 1.0
-        begins = still & ~np.append(False, still[:-1])
-        return np.where(still, np.cumsum(begins) - 1, -1)
+        begins = np.diff(known, prepend=0.0) > 0.0
+        return np.where(known == 1.0, np.cumsum(begins) - 1, -1)
     return np.maximum(np.rint(np.clip(known, -1, 2**53)), -1).astype(np.int64)

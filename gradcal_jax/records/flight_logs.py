@@ -9,8 +9,8 @@ sensor_combined     not the sensor: offsets, thermal calibration and the estimat
 vehicle_imu_status  `gyro_rate_hz`, at which sensor_gyro of `gyro_device_id` is published: the logger keeps every n-th.
                     Without it, rows below 90 Hz are single samples of an unknown rate: PX4 publishes no gyro as slowly
 
-ArduPilot (`libraries/AP_InertialSensor/AP_InertialSensor_Backend.cpp`): IMU has TimeUS, I (which one; IMU2 and IMU3 in
-old logs), GyrX … in rad/s, AccX … in m/s², T in °C; PARM the parameters at the start, and whenever one changes. Off the
+ArduPilot (`libraries/AP_InertialSensor/AP_InertialSensor_Backend.cpp`): IMU has TimeUS, I (which one), GyrX …
+in rad/s, AccX … in m/s², T in °C; PARM the parameters at the start, and whenever one changes. Off the
 gyros are taken INS_GYRnOFFS_*, off the accelerometers INS_ACCnOFFS_*, which are then multiplied by INS_ACCnSCAL_*, and
 all are turned by the board's orientation. That is undone here, with the parameters in force at each sample; a thermal
 calibration (INS_TCALn_ENABLE = 1) is not.
@@ -142,11 +142,10 @@ def _device(data: Any) -> str:
 
 def _samples(data: Any, start_s: float) -> tuple[Floats, Floats]:
     """The times of the samples (of the message, where the driver gave none), and x, y, z."""
-    sent = np.asarray(data.data["timestamp"], np.float64)
-    taken = np.asarray(data.data.get("timestamp_sample", sent), np.float64)
-    return np.where(taken == 0.0, sent, taken) * 1e-6 - start_s, np.stack(
-        [data.data[axis].astype(np.float64) for axis in "xyz"], axis=1
-    )
+    sent: Any = data.data["timestamp"]
+    taken: Any = data.data.get("timestamp_sample", sent)
+    time = np.asarray(np.where(taken == 0, sent, taken), np.float64)
+    return time * 1e-6 - start_s, np.stack([data.data[axis] for axis in "xyz"], axis=1).astype(np.float64)
 
 
 def _published(topics: list[Any]) -> dict[str, float]:
@@ -165,13 +164,13 @@ def _ardupilot(path: Path) -> Iterator[Columns]:
     log.init_clock = lambda: None  # the calendar, for which it would parse every message
     try:
         log.__init__(str(path))  # what it opens stays open where this fails, and is closed below
-        parameters, *tables = (_table(log, name) for name in ("PARM", "IMU", "IMU2", "IMU3"))
+        parameters, table = _table(log, "PARM"), _table(log, "IMU")
     finally:
         for name in ("filehandle", "data_map"):
             # A reader that failed may still look at the map; it goes with the reader then.
             with contextlib.suppress(AttributeError, BufferError):
                 getattr(log, name).close()
-    if not any(len(table) for table in tables):
+    if len(table) == 0:
         raise LogError("the log has no IMU messages: set the IMU bit of LOG_BITMASK")
     if len(parameters) == 0:
         raise LogError(
@@ -179,12 +178,9 @@ def _ardupilot(path: Path) -> Iterator[Columns]:
             "removed"
         )
     in_force = _parameters(parameters)
-    for place, table in enumerate(tables):
-        if not len(table):
-            continue
-        which = table["I"] if "I" in table.dtype.names else np.full(len(table), place)
-        for one in np.unique(which).tolist():
-            yield _undone(one, table[which == one], in_force)
+    which = table["I"] if "I" in table.dtype.names else np.zeros(len(table), np.int64)
+    for one in np.unique(which).tolist():
+        yield _undone(one, table[which == one], in_force)
 
 
 def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Floats]) -> Columns:
@@ -201,7 +197,7 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
     turned = _to_sensor(int(board[0])).T
 
     def of_sensor(kind: str, parameter: str) -> Floats:
-        values = np.stack([table[f"{kind}{axis}"].astype(np.float64) for axis in "XYZ"], axis=1) @ turned
+        values = np.stack([table[f"{kind}{axis}"] for axis in "XYZ"], axis=1).astype(np.float64) @ turned
         named = f"INS_{parameter}{n if n > 1 else ''}"
         for k, axis in enumerate("XYZ"):
             values[:, k] /= in_force(f"{named}SCAL_{axis}", time, 1.0)

@@ -22,7 +22,7 @@ from gradcal_jax.records.column_map import (
 from gradcal_jax.records.column_names import question_of
 from gradcal_jax.records.examination import Columns, at_rows_with_rates, examine
 from gradcal_jax.records.log import SENSOR_RATE, Floats, Log, LogError, naming
-from gradcal_jax.records.table_files import FileTable, read_table
+from gradcal_jax.records.table_files import FileTable, read_table, rows_where
 
 _LOG = logging.getLogger(__name__)
 _MANY: Final = 200
@@ -100,7 +100,9 @@ def _in_si(table: FileTable, source: Source) -> Floats:
         factor = units.parse(f"1 {source.unit}", source.dimension) - at_zero
         zero = 0.0 if isinstance(source, TimeColumn) else source.zero
         values = (values - zero) * (source.scale * factor) + at_zero
-    return values if source.where is None else np.where(table.rows_where(source.where), values, np.nan)
+    if source.where is None:
+        return values
+    return np.where(rows_where(source.where, table.array(source.where)), values, np.nan)
 
 
 def columns_in_si(table: FileTable, columns: ColumnMap, name: str) -> Columns:
@@ -121,9 +123,7 @@ def columns_in_si(table: FileTable, columns: ColumnMap, name: str) -> Columns:
     if columns.sensor_rate is not None:
         raw.provenance[SENSOR_RATE] = f"{float(columns.sensor_rate):.9g} Hz"
     if columns.where is not None:
-        chosen = table.rows_where(columns.where)
-        # (Of a text, other rows were not read.)
-        raw = raw.of_rows(chosen) if len(chosen) == raw.rows else raw
+        raw = raw.of_rows(rows_where(columns.where, table.array(columns.where)))
     if raw.rows < 2:
         raise LogError(f"there are {raw.rows} rows of numbers; at least two are needed")
     return raw

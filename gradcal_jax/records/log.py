@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import instead
-from gradcal_jax.tables.table import Table
 
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
@@ -264,26 +263,17 @@ class Log:
     __repr__ = summary
 
     def summary_lines(self) -> list[str]:
-        """Its contents in lines: length, units, axes, arrays, the numbers of rows by use, faults."""
-        units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
-        fields = {
-            "temperature": self.temperature_c,
-            "host time": self.host_time_s,
-            "table angle": self.table_angle_rad,
-            "readings": self.readings,
-        }
-        also = [name for name, held in fields.items() if held is not None]
-        counts = ", ".join(f"{count} {reason}" for reason, count in self.counts(0).items())
-        lines = [
-            f"log of {units}: {self.duration_s:.6g} s at {1.0 / self.sample_interval_s:.6g} Hz"
+        """Its contents in lines: length, units, channels, arrays, the numbers of rows by use, faults."""
+        fields = ("temperature_c", "host_time_s", "table_angle_rad", "readings")
+        has = [name for name in fields if getattr(self, name) is not None]
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.counts().items())
+        return [
+            f"log of {', '.join(self.units[:3])}: {self.duration_s:.6g} s at {1.0 / self.sample_interval_s:.6g} Hz"
             + ", SIMULATED" * self.simulated,
-            f"  rates of {', '.join(self.axes) or 'no axis'}; specific forces of "
-            f"{', '.join(self.force_axes) or 'no axis'}",
-            f"  with {', '.join(also) or 'neither temperature nor angles'}, in {len(self.stretch_starts)} stretches",
+            f"  with {', '.join([*self.channels(), *has])}, in {len(self.stretch_starts)} stretches",
             f"  of {self.rows_read} rows: {counts}",
+            *(f"  {finding.done}: {finding.message}" for finding in self.findings),
         ]
-        findings = Table.of(["done", "what was found"], [(f.done, f.message) for f in self.findings])
-        return lines + ([findings.text(indent="  ")] if self.findings else [])
 
     _shown = summary_lines
 
@@ -330,18 +320,18 @@ class Log:
 
     def unit_index(self, unit: str | int) -> int:
         """The number of a unit given by name or number. Raises `LogError`."""
-        return _index(unit, self.units, "unit")
+        if unit in self.units:
+            return self.units.index(str(unit))
+        if isinstance(unit, str) or unit >= len(self.units):
+            raise LogError(f"there is no unit '{unit}' in this log; {instead(str(unit), self.units)}")
+        return unit
 
-    def axis_index(self, axis: str | int) -> int:
-        """The number of an axis given by name or number. Raises `LogError`."""
-        return _index(axis, self.axes, "axis")
-
-    def channel(self, axis: str | int, unit: str | int = 0, *, force: bool = False) -> Floats:
-        """`(n,)`: the rates of one axis, or its specific forces."""
-        labels, kind = (self.force_axes, "accelerometer") if force else (self.axes, "gyro")
-        if not labels:
-            raise LogError("the log has no specific forces" if force else "the log has no rates")
-        return self.channels(unit)[f"{kind} {labels[_index(axis, labels, 'axis')]}"]
+    def channel(self, name: str, unit: str | int = 0) -> Floats:
+        """`(n,)`: the rates or specific forces of a channel: "gyro x". Raises `LogError`."""
+        channels = self.channels(unit)
+        if name not in channels:
+            raise LogError(f"there is no {name} in this log; {instead(name, channels)}")
+        return channels[name]
 
     def channels(self, unit: str | int = 0) -> dict[str, Floats]:
         """The rates and specific forces `(n,)` of a unit by the names of their channels: "gyro x"."""
@@ -396,17 +386,14 @@ class Log:
                     result[reason.words] = result.get(reason.words, 0) + count
         return result
 
-    def even(self, axis: str | int = 0, unit: str | int = 0, *, force: bool = False) -> EvenSeries:
-        """One axis on an even grid, with one invalid point for each gap of any length: no window may span one; of the
-        accelerometers, if `force`, in m/s².
-
-        The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
+    def even(self, channel: str, unit: str | int = 0) -> EvenSeries:
+        """A channel ("gyro x") on an even grid, with one invalid point for each gap of any length: no window may span
+        one. The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
         """
-        values = self.channel(axis, unit, force=force)
         row = np.insert(np.arange(len(self.time_s)), self.stretch_starts[1:], -1)
         there = row >= 0
         valid = there & self.usable(unit)[row]
-        temperature = None
+        values, temperature = self.channel(channel, unit), None
         if self.temperature_c is not None:
             temperature = np.where(there, self.temperature_c[self.unit_index(unit), row], np.nan)
         return EvenSeries(np.where(valid, values[row], 0.0), valid, self.sample_interval_s, temperature, row)
@@ -420,15 +407,15 @@ def without_masked(log: Log) -> Log:
     """
     if log.status is None or not log.status.any():
         return log
-    temperature = Reason.MISSING_TEMPERATURE | Reason.FROZEN_TEMPERATURE | Reason.MARKED | Reason.LEFT_OUT
-    masked = {
-        "rate_rad_per_s": (log.status & ~np.uint16((Reason.MISSING_FORCE | Reason.SATURATED).value)) != 0,
-        "specific_force_m_per_s2": (log.status & ~np.uint16((Reason.MISSING_RATE | Reason.SATURATED).value)) != 0,
-        "temperature_c": (log.status & np.uint16(temperature.value)) != 0,
+    concerned = {
+        "rate_rad_per_s": ~(Reason.MISSING_FORCE | Reason.SATURATED),
+        "specific_force_m_per_s2": ~(Reason.MISSING_RATE | Reason.SATURATED),
+        "temperature_c": Reason.MARKED | Reason.LEFT_OUT | Reason.MISSING_TEMPERATURE | Reason.FROZEN_TEMPERATURE,
     }
     changed = dict[str, Floats]()
-    for name, rows in masked.items():
+    for name, reasons in concerned.items():
         values: Floats | None = getattr(log, name)
+        rows = (log.status & np.uint16(reasons.value)) != 0
         if values is not None and rows.any():
             changed[name] = values.copy()
             changed[name][rows] = np.nan
@@ -455,13 +442,3 @@ def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
 def mean_interval(time_s: Floats, within: Floats) -> float:
     """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
     return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
-
-
-def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
-    if isinstance(label, int):
-        if 0 <= label < len(labels):
-            return label
-        raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, numbered from 0")
-    if label in labels:
-        return labels.index(label)
-    raise LogError(f"there is no {kind} '{label}' in this log; {instead(label, labels)}")

@@ -14,7 +14,7 @@ than one of an hour.
 
 import time
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -40,7 +40,6 @@ from gradcal_jax.records.table_angles import (
     standstills,
     table_readings,
 )
-from gradcal_jax.spec.bench import RigTable
 from gradcal_jax.spec.rig import ImuDevice, RigFile
 
 # The length of an interruption that no clock measured.
@@ -258,31 +257,42 @@ def _place(rows: Rows, parts: Sequence[_Part]) -> None:
 
 
 def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
-    broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), [part.first for part in parts])
-    found = list[Finding]()
-
-    def say(count: int, kind: str, done: str, message: str) -> None:
-        if count:
-            found.append(Finding(kind, done, count, message))
-
+    firsts = [part.first for part in parts]
+    broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), firsts)
     missing = int(rows["gap"][broken].sum())
-    say(len(broken), "gap", "split", f"about {missing} samples are missing at {len(broken)} places")
+    anew = len(np.setdiff1d(np.flatnonzero(rows["restarted"]), firsts))
     unsure_s = max(part.clock.residual_max_s for part in parts)
-    if unsure_s > SETTLED_S:
-        lateness = (
+    bad = sum(part.session.decoder.bad_bytes for part in parts if part.session.decoder is not None)
+    found = (
+        (
+            len(broken),
+            "gap",
+            "split",
+            f"about {missing} samples are missing at {len(broken)} places",
+        ),
+        (
+            int(unsure_s > SETTLED_S),
+            "late stamps",
+            "mask",
             f"the computer was so busy that its time stamps are accurate only to {unsure_s:.2g} s: as an additional "
-            "margin, this time is left out at both ends of every standstill"
-        )
-        found.append(Finding("late stamps", "mask", 0, lateness))
-    anew = int(np.count_nonzero(rows["restarted"])) - sum(bool(rows["restarted"][part.first]) for part in parts)
-    lost = "the samples lost in a restart are not counted as missing"
-    say(anew, "unit restarted", "split", f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; {lost}")
-    decoders = [part.session.decoder for part in parts if part.session.decoder is not None]
-    bad = sum(one.bad_bytes for one in decoders)
-    say(bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram")
-    attempts = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
-    say(sum(part.session.count("not done") for part in parts), "refused attempt", "mask", attempts)
-    return tuple(found)
+            "margin, this time is left out at both ends of every standstill",
+        ),
+        (
+            anew,
+            "unit restarted",
+            "split",
+            f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not "
+            "counted as missing",
+        ),
+        (bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram"),
+        (
+            sum(part.session.count("not done") for part in parts),
+            "refused attempt",
+            "mask",
+            "attempts at a step that the run itself did not accept are left out: see the journal for the reasons",
+        ),
+    )
+    return tuple(Finding(kind, done, count, message) for count, kind, done, message in found if count)
 
 
 def _provenance(parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
@@ -311,30 +321,20 @@ def _log_of_recording(
     recording does not show the run's motion.
     """
     number = recorded.unit_index(unit or 0)
-    sessions = sessions_of(records)
-    axes = _axes_of(sessions, [axis.name for axis in rig.axis])
-    labels = _labels(axes, recipe, rig)
-    rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
-    if len(labels) == len(rates) == 1:
-        # Both have one axis only: its name does not matter.
-        rates = dict(zip(labels, rates.values(), strict=True))
-    table = recipe.spec.rig.table
-    common = [label for label in labels if label in rates]
-    if not common and table.axis[-1].name in labels:
-        common = [table.axis[-1].name]
-        rates |= {common[0]: _about_innermost(table, rates)}
-    if not common:
-        raise NoAlignment("the run did not turn any axis of the recording, so the recording cannot be aligned with it")
-    with_data = [session for session in sessions if session.stretches()]
+    with_data = [session for session in sessions_of(records) if session.stretches()]
     if len(with_data) != 1:
         raise HardwareError(
             "Only a run of one session with data can be aligned with another logger's recording; this one has "
             f"{len(with_data)}: make a run for each recording."
         )
     (session,) = with_data
-    tracks = [(_track(session.events, axes[labels.index(label)]), rates[label]) for label in common]
-    track, rate = max(tracks, key=lambda one: float(np.abs(np.diff(one[0].angle_deg)).sum()))
-    by_motion = align(recorded.time_s, rate, track)
+    axes = _axes_of(with_data, [axis.name for axis in rig.axis])
+    labels = _labels(axes, recipe, rig)
+    tracks = [_track(session.events, axis) for axis in axes]
+    if not tracks or len(recipe.spec.rig.table.mounting) > 1:
+        raise NoAlignment("a recording is aligned with a run that turns an axis of its table, in one mounting")
+    track = max(tracks, key=lambda one: float(np.abs(np.diff(one.angle_deg)).sum()))
+    by_motion = align(recorded.time_s, np.degrees(recorded.rate_rad_per_s[number]), track)
     # The alignment as the line of a stream's clock: five sigmas are removed at both ends of a rest.
     offset_s, unsure_s = by_motion.offset_s - by_motion.rate * by_motion.middle_s, by_motion.offset_std_s
     clock = ClockMap(offset_s, by_motion.rate, by_motion.rate_std, 5.0 * unsure_s)
@@ -347,24 +347,13 @@ def _log_of_recording(
     who = recorded.units[number]
     names = labels if len(labels) == len(recorded.axes) == 1 else recorded.axes
     made = _joined(rows, parts, axes, labels, who, names)
-    provenance = _provenance(parts, sessions, recipe) | {"unit": who, "driver": "recorded elsewhere"}
+    provenance = _provenance(parts, with_data, recipe) | {"unit": who, "driver": "recorded elsewhere"}
     message = (
         f"the recording's clock was determined from {by_motion.readings} readings of {by_motion.turns} turns, to "
         f"{unsure_s:.2g} s and {1e6 * clock.rate_std:.2g} ppm (1σ; delays of the table's readings are not included)"
     )
     findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
     return replace(made, findings=findings, provenance=provenance)
-
-
-def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats:
-    """The rate about the table's innermost axis, by the mounting. Raises `NoAlignment` where there are several."""
-    mountings = list(table.mounting)
-    if len(mountings) > 1:
-        raise NoAlignment("a recording with several mountings cannot be aligned: make a run of each mounting")
-    turning, columns = table.axis[-1].unit_vector, mountings[0].columns
-    along = np.array([np.dot(columns["xyz".index(name)], turning) for name in rates_dps])
-    rates = np.stack(list(rates_dps.values()), axis=-1)
-    return (rates - np.nanmedian(rates, axis=0)) @ along
 
 
 def _track(events: Sequence[Event], axis: str) -> AngleTrack:

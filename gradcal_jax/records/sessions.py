@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax.hardware.frames import FrameDecoder
 from gradcal_jax.hardware.journal import Chunk, Event
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY, ImuBatch, ImuDecoder, join
 from gradcal_jax.hardware.run_folder import SESSION, breaks_off
@@ -19,7 +20,7 @@ from gradcal_jax.records.log import Reason
 from gradcal_jax.spec.rig import ImuDevice
 
 # Chunks that are decoded, and rows that are copied, at once.
-_CHUNKS, _BLOCK = 1 << 9, 1 << 16
+_CHUNKS, _BLOCK = 1 << 6, 1 << 16
 Rows = NDArray[Any]
 """A structured array: each row has all columns of a log."""
 
@@ -152,7 +153,10 @@ def sessions_of(
         if file is None or not sessions:
             return
         decoder, first = sessions[-1].decoder, sessions[-1].samples[0]
-        if decoder is not None:
+        if isinstance(decoder, FrameDecoder) and waiting:
+            times_s = np.repeat([chunk.time_s for chunk in waiting], [len(chunk.data) for chunk in waiting])
+            file.push(decoder.push(b"".join(chunk.data for chunk in waiting), times_s))
+        elif decoder is not None:
             file.push(join([decoder.push(chunk.data, chunk.time_s) for chunk in waiting]))
         waiting.clear()
         sessions[-1].samples = first, len(file)

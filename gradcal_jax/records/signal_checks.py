@@ -27,9 +27,9 @@ FAR: Final = 10.0
 # Runs: rows of a frozen value and of one at a limit, rows at a limit in all, times the usual length, seconds of a
 # frozen temperature.
 _FROZEN, _HELD, _AT_LIMIT, _UNUSUAL, _FROZEN_S = 60, 3, 10, 10.0, 30.0
-# Outliers: rows of the median in motion and at rest, of the local noise, at the ends of a standstill that still settle,
-# about an outlier in which more than a pair is a bump; and the largest share.
-_BESIDE, _AROUND, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 51, 200, 25, 21, 2, 0.01
+# Outliers: rows of the median, of the local noise, at the ends of a standstill that still settle, about an outlier in
+# which more than a pair is a bump; and the largest share.
+_BESIDE, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 200, 25, 21, 2, 0.01
 # Below this rate (Hz) a single row may be the motion itself.
 _LEAST_RATE: Final = 20.0
 # A gap is longer than these seconds and intervals: over less, a rate is interpolated.
@@ -154,46 +154,44 @@ def wrapped(values: Floats) -> Bools:
     least = 6.0 * float(np.nanmedian(bends))
     within = np.where(far, 0.0, step)
 
-    def against(out: int, back: int, rows: int) -> bool:
-        sides = [(out, within[max(out - rows, 0) : out]), (back, within[back + 1 : back + 1 + rows])]
-        if back - out > 2 * rows:  # else too short a time to have slopes
-            sides += [(out, within[out + 1 : out + 1 + rows]), (back, within[back - rows : back])]
-        return all(-np.sign(step[at]) * float(np.sum(side)) > least for at, side in sides)
+    def against(at: int, first: int, rows: int) -> bool:
+        """Whether the values change against the step `at` a row, in so many `rows`."""
+        return bool(-np.sign(step[at]) * np.sum(within[max(first, 0) : first + rows]) > least)
 
     for out, back in itertools.pairwise(np.flatnonzero(far).tolist()):
-        if step[out] * step[back] < 0.0 and not result[out] and any(against(out, back, rows) for rows in _SLOPES):
-            result[out + 1 : back + 1] = True
+        for rows in _SLOPES if step[out] * step[back] < 0.0 and not result[out] else ():
+            beside = against(out, out - rows, rows) and against(back, back + 1, rows)
+            # (Else it lasts too short a time to have slopes.)
+            lasts = back - out > 2 * rows
+            if beside and (not lasts or (against(out, out + 1, rows) and against(back, back - rows, rows))):
+                result[out + 1 : back + 1] = True
     return result
 
 
-def outliers(values: Floats, standing: Whole | None, *, at_rest: bool) -> Bools:
+def outliers(values: Floats, standing: Whole | None) -> Bools:
     """`(n,)`: rare rows farther than `FAR` standard deviations of the noise about them from the median of their
-    neighbours; none if they are not rare. In motion they are single or pairs: what lasts longer, the sensor did feel.
+    neighbours, single or in pairs: what lasts longer, the sensor did feel. None if they are not rare.
 
-    `standing` `(n,)`: numbers of standstills, within which alone they are then looked for; None: by hand, where they
-    must also be far beyond the steps from row to row. `at_rest`: of a record that stands still throughout.
+    `standing` `(n,)`: numbers of standstills, within which alone they are then looked for; None: not known; they must
+    then be far beyond the steps from row to row, too, which may be those of a motion by hand.
     """
     ndimage: Any = importlib.import_module("scipy.ndimage")
     result = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
-    if len(known) < (2 * _WINDOW if at_rest else 2 * _LOCAL):
+    if len(known) < 2 * _LOCAL:
         return result
     own = values[known]
-    apart = np.abs(own - ndimage.median_filter(own, _AROUND if at_rest else _BESIDE, mode="reflect"))
-    if at_rest:
-        usual = float(np.median(apart))
-        far = (apart > FAR * 1.4826 * usual) & (usual > 0.0)
+    apart = np.abs(own - ndimage.median_filter(own, _BESIDE, mode="reflect"))
+    beyond = apart > FAR * _local_noise(apart, ndimage)
+    # (A wrong row moves its neighbours' medians, too, but by less.)
+    far = beyond & (apart >= 0.3 * ndimage.maximum_filter1d(apart, _BESIDE))
+    if standing is None:
+        # (A pair makes three steps, and two single rows four.)
+        steps = np.abs(np.diff(own, prepend=own[:1]))
+        far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
     else:
-        beyond = apart > FAR * _local_noise(apart, ndimage)
-        # (In motion a wrong row moves its neighbours' medians, too, but by less.)
-        far = beyond & (apart >= 0.3 * ndimage.maximum_filter1d(apart, _BESIDE))
-        if standing is None:
-            # (A pair makes three steps, and two single rows four.)
-            steps = np.abs(np.diff(own, prepend=own[:1]))
-            far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
-        else:
-            crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
-            far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
+        crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
+        far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -248,19 +246,17 @@ def jumped_temperature(values: Floats, starts: Whole) -> Bools:
     cut = np.abs(np.diff(own)) > _JUMP_K
     if not cut.any():
         return result
-    begins = np.concatenate([[0], np.flatnonzero(cut | np.isin(known[1:], starts)) + 1])
-    pieces = np.column_stack([begins, np.append(begins[1:], len(known))])
-    longest = int(np.argmax(np.diff(pieces)))
+    pieces = np.split(np.arange(len(own)), np.flatnonzero(cut | np.isin(known[1:], starts)) + 1)
+    longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece on, forward and back, a piece that begins near where the last good one ended is good.
     for order, near, far in ((pieces[longest:], 0, -1), (pieces[longest::-1], -1, 0)):
-        good = own[range(*order[0])[far]]
-        for first, end in order[1:].tolist():
-            piece = range(first, end)
-            behind_gap = known[first if near == 0 else end] in starts
+        good = own[order[0][far]]
+        for before, piece in itertools.pairwise(order):
+            behind_gap = known[max(piece[0], before[0])] in starts
             if behind_gap or abs(own[piece[near]] - good) <= _JUMP_K:
                 good = own[piece[far]]
             else:
-                result[known[first:end]] = True
+                result[known[piece]] = True
     return result if np.mean(result) < _JUMPED else np.zeros(len(values), bool)
 
 
@@ -345,9 +341,8 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
                 f"{log.time_s[last - 1]:.6g} s"
             )
 
-    for where, values in log.channels(number).items():
-        if channels is not None and where not in channels:
-            continue
+    wanted = {name: of for name, of in log.channels(number).items() if channels is None or name in channels}
+    for where, values in wanted.items():
         shown, size = _SHOWN[where.split()[0]]
         own = np.where(usable, values, np.nan)
         if (steps := coarse_steps(own)).off:
@@ -367,7 +362,7 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
             own[log.standstill < 0] = np.nan
         if at_rest or not slow:
             words = f"rows of {where} differ from their neighbours by more than {FAR:g} standard deviations"
-            mask(Reason.FAR_FROM_NEIGHBOURS, outliers(own, log.standstill, at_rest=at_rest), words)
+            mask(Reason.FAR_FROM_NEIGHBOURS, outliers(own, log.standstill), words)
     if log.temperature_c is not None:
         unknown = frozen_temperature(log.time_s, log.temperature_c[number], log.stretch_starts) & usable
         # (A constant temperature is judged elsewhere.)

@@ -10,8 +10,8 @@ intervals are counted in samples:
 Where both may be, the answer is a question.
 """
 
-import bisect
 import importlib
+from bisect import bisect_left
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -22,11 +22,8 @@ from gradcal_jax.tables.section import Section
 
 ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
-# Rows that count as many; share of rows that may be removed for their stamps before they are looked at as a whole.
-_MANY, _SHARE = 20, 0.1
-# Rows on end that are not single outliers; share of the span within which late packets are sorted; share of a gap by
-# which stamps in it may differ from the clock at its edge.
-_RESTART, _SHUFFLED, _FITS = 10, 0.01, 0.1
+# Rows that count as many; share of rows that may be removed for their stamps; rows on end that are not single outliers.
+_MANY, _SHARE, _RESTART = 20, 0.1, 10
 # Median intervals that are a gap, unless stamps within so many rows make up for it.
 _GAP, _JITTER_ROWS = 1.6, 5
 # An interval is short below this share of the median; if more than the second share are, stamps come in bursts.
@@ -34,17 +31,15 @@ _SHORT, _OFTEN = 0.3, 0.05
 # If more than this share of the intervals are gaps, they must be whole numbers of intervals or of an even clock.
 _UNEVEN: Final = 0.005
 # Bursts over which a wandering clock is averaged, longest intervals by which stamps may leave it, and usual intervals
-# between bursts beyond which one is a pause.
-_BURSTS, _WITHIN, _PAUSE = 40, 1.5, 3.0
-# Bursts come evenly within this share of their period.
-_EVENLY: Final = 0.02
+# between bursts beyond which one is a pause; bursts come evenly within the last share of their period.
+_BURSTS, _WITHIN, _PAUSE, _EVENLY = 40, 1.5, 3.0, 0.02
+# Even intervals over those within a burst, from which on stamps are those of arrivals.
+_ARRIVALS: Final = 4.0
 # Rows in which a pattern of intervals is looked for, its largest length, and its least share of their variance.
 _PATTERN_ROWS, _PATTERN, _REPEATS = 1 << 16, 100, 0.3
-# Even intervals over those within a burst: up to the first it is the same clock, from the second on these are arrivals.
-_SAME_CLOCK, _ARRIVALS = 1.02, 4.0
-# Blocks by whose intervals a changed rate is seen, share of a block's intervals that are alike within 10 %, share of
-# blocks of each rate, and the least ratio of the rates.
-_BLOCKS, _EVEN, _SOME, _CHANGED = 50, 0.8, 0.1, 1.3
+# Blocks by whose intervals a changed rate is seen, share of a block's intervals that are alike within 10 %, blocks of
+# another rate, and the ratio from which on it is another.
+_BLOCKS, _ALIKE, _SOME, _CHANGED = 50, 0.8, 5, 1.3
 
 
 class Policy(Section):
@@ -86,52 +81,42 @@ def counted(count: int) -> str:
 def rows_in_order(time: Floats, found: Findings, rows_before: int = 0) -> Whole:
     """The rows of stamps `(n,)` that increase, in their order. `rows_before`: rows of the source before the first."""
     readable = np.abs(time) < ABSURD
-    _refuse_intervals(time[readable])
     order = np.flatnonzero(readable)
     stamps = time[order]
+    steps = np.diff(stamps)
+    if len(stamps) > 5 * _MANY and np.mean(steps <= 0.0) > 0.3:
+        low, high = np.quantile(stamps, [0.05, 0.95])
+        if high - low <= 10.0 * np.mean(np.abs(steps)):
+            raise LogError(
+                "the time stamps do not increase from row to row: does the column hold intervals between rows, two "
+                "alternating clocks, a counter that wraps every few rows, or times with too few digits? Leave out time "
+                "and give sample_rate"
+            )
     kept = _increasing(stamps)
-    others = np.arange(len(stamps))
-    while len(wrong := _off_clock(stamps, kept)):
-        others = np.setdiff1d(others, wrong)
-        kept[:] = False
-        kept[others] = _increasing(stamps[others])
     before = np.maximum.accumulate(np.where(kept, stamps, -np.inf))
-    span = float(np.ptp(stamps)) if len(stamps) else 0.0
-    alike = np.count_nonzero(~kept & (stamps == before))
-    if alike > _SHARE * len(time):
+    alike = ~kept & (stamps == before)
+    if np.count_nonzero(alike) > _SHARE * len(time):
+        span = float(np.ptp(stamps))
         own = f'"{(len(stamps) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
         raise LogError(
-            f"of {len(time)} rows {alike} have the time stamp of an earlier row: are the time stamps too coarse to "
-            f"distinguish rows? If so, leave time out and give sample_rate = {own} (the number of rows divided by the "
-            "time span). Or are rows of several sensors mixed? If so, select the rows of one sensor with the key "
-            "`where`"
+            f"of {len(time)} rows {np.count_nonzero(alike)} have the time stamp of an earlier row: are the time stamps "
+            f"too coarse to distinguish rows? If so, leave time out and give sample_rate = {own} (the number of rows "
+            "divided by the time span). Or are rows of several sensors mixed? If so, select the rows of one sensor "
+            "with the key `where`"
         )
     _refuse_restart(stamps, kept, rows_before)
-    count = int(np.count_nonzero(~kept) - alike)
-    if count > max(_MANY, _SHARE * len(time)):
-        rows = np.arange(len(stamps))
-        back = float(np.max(np.abs(stamps - np.interp(rows, rows[kept], stamps[kept]))))
-        words = f"{counted(count)} have a time stamp before that of an earlier row, by up to {back:.6g} s"
-        if back > _SHUFFLED * span:
-            raise LogError(
-                f"{words}: the clock steps back again and again: does the column mix two clocks, or rows of several "
-                "sensors, or does a counter wrap? Select the rows of one sensor with where, or give sample_rate"
-            )
-        found.rows("rows out of order", count, f"{words}; the rows were sorted by time stamp", "sort")
-        order = order[np.argsort(stamps, kind="stable")]
-        stamps = before = time[order]
-        kept = np.diff(stamps, prepend=-np.inf) > 0.0
+    _refuse_disorder(stamps, kept, ~kept & ~alike)
     for kind, rows, words in (
         ("unreadable row", np.flatnonzero(~readable), "without a readable time"),
         ("damaged stamp", order[~kept & (stamps > before)], "with a time stamp ahead of the rows around them"),
-        ("duplicate stamp", order[~kept & (stamps == before)], "with the time stamp of an earlier row"),
+        ("duplicate stamp", order[alike], "with the time stamp of an earlier row"),
         ("unordered stamp", order[~kept & (stamps < before)], "stamped before an earlier row"),
     ):
         if len(rows):
             found.removed[kind] = len(rows)
             found.rows(kind, len(rows), f"{counted(len(rows))} {words}, first row {rows.min()}")
-    if np.count_nonzero(kept) < 2:
-        count = np.count_nonzero(kept)
+    count = np.count_nonzero(kept)
+    if count < 2:
         raise LogError(f"of {len(time)} rows, only {count} have a later time stamp than all earlier rows")
     return order[kept]
 
@@ -140,60 +125,18 @@ def _increasing(time: Floats) -> Bools:
     """`(n,)`: the longest strictly increasing part of stamps."""
     if np.all(np.diff(time) > 0.0):
         return np.ones(len(time), bool)
-    ends, last = list[float](), list[int]()
-    before = np.full(len(time), -1)
+    ends, last, before = list[float](), list[int](), list[int]()
     for row, stamp in enumerate(time.tolist()):
-        place = bisect.bisect_left(ends, stamp)
-        before[row] = last[place - 1] if place else -1
-        if place == len(ends):
-            ends.append(stamp)
-            last.append(row)
-        elif stamp < ends[place]:
-            ends[place], last[place] = stamp, row
+        place = bisect_left(ends, stamp)
+        before.append(last[place - 1] if place else -1)
+        if ends[place : place + 1] != [stamp]:
+            ends[place : place + 1], last[place : place + 1] = [stamp], [row]
     kept = np.zeros(len(time), bool)
-    row = last[-1] if last else -1
+    row = last[-1]
     while row >= 0:
         kept[row] = True
         row = before[row]
     return kept
-
-
-def _off_clock(time: Floats, kept: Bools) -> Whole:
-    """The kept rows of stamps `(n,)` that are off the clock of the others: at an end of a record, damaged stamps may be
-    more than the sound ones beyond them. They leave a gap, in which stamps of removed rows are where the clock of more
-    rows at its edge has them, across the damaged rows."""
-    rows, removed = np.flatnonzero(kept), np.flatnonzero(~kept)
-    stamps = time[rows]
-    after = np.searchsorted(stamps, time[removed])
-    inside = (after > 0) & (after < len(rows))
-    removed, after = removed[inside], after[inside]
-    if not len(removed):
-        return removed
-    usual = float(np.median(np.diff(stamps)))
-    gap = stamps[after] - stamps[after - 1]
-    place = np.searchsorted(rows, removed)
-    off = np.zeros(len(time), bool)
-    for edge, side, own in ((after - 1, 1, after), (after, -1, len(rows) - after)):
-        across = side * (place - after)
-        error = time[removed] - stamps[edge] - (removed - rows[edge]) * usual
-        fits = (across > 0) & (across < own) & (gap > _RESTART * usual) & (np.abs(error) < _FITS * gap)
-        for row, at in zip(removed[fits].tolist(), rows[edge[fits]].tolist(), strict=True):
-            off[min(row, at) + 1 : max(row, at)] = True
-    return np.flatnonzero(off & kept)
-
-
-def _refuse_intervals(time: Floats) -> None:
-    """Raise `LogError` for stamps `(n,)` that do not grow from row to row."""
-    if len(time) < 5 * _MANY:
-        return
-    steps = np.diff(time)
-    low, high = np.quantile(time, [0.05, 0.95])
-    if np.mean(steps <= 0.0) > 0.3 and high - low <= 10.0 * np.mean(np.abs(steps)):
-        raise LogError(
-            "the time stamps do not increase from row to row: does the column hold intervals between rows, two "
-            "alternating clocks, a counter that wraps every few rows, or times with too few digits? Leave out time "
-            "and give sample_rate"
-        )
 
 
 def _refuse_restart(time: Floats, kept: Bools, rows_before: int) -> None:
@@ -203,83 +146,82 @@ def _refuse_restart(time: Floats, kept: Bools, rows_before: int) -> None:
         # Rows that are only late lie between two jumps.
         begins = start == 0 or 0.0 < time[start] - time[start - 1] < 3.0 * usual
         ends = stop == len(time) or 0.0 < time[stop] - time[stop - 1] < 3.0 * usual
-        if usual == 0.0 or not (begins or ends):
-            continue
-        steps = np.diff(time[max(start - 1, 0) : stop + 1])
-        row = max(start - 1, 0) + 1 + int(np.argmin(steps))
-        step = float(-np.min(steps))
-        row += rows_before
+        if usual > 0.0 and (begins or ends):
+            first = max(start - 1, 0)
+            steps = np.diff(time[first : stop + 1])
+            row = rows_before + first + 1 + int(np.argmin(steps))
+            raise LogError(
+                f"the clock steps back at row {row}, by {-np.min(steps):.6g} s, and continues from the earlier time: "
+                "did the clock restart, or a counter wrap? "
+                f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps; '
+                "or do rows of another sensor follow? If so, select one sensor's rows with the key `where`"
+            )
+
+
+def _refuse_disorder(time: Floats, kept: Bools, others: Bools) -> None:
+    """Raise `LogError` where many rows are out of order, and where stamps of `others` that are not kept lie in a gap of
+    those that are: damaged stamps may then be more than the sound ones beyond them."""
+    if not others.any():
+        return
+    sound, removed = time[kept], time[others]
+    steps = np.diff(sound, append=np.inf)
+    gaps = steps[np.searchsorted(sound, removed) - 1]
+    inside = np.isfinite(gaps) & (gaps > _RESTART * np.median(steps))
+    many = np.count_nonzero(others) > max(_MANY, _SHARE * len(time))
+    if many or inside.any():
         raise LogError(
-            f"the clock steps back at row {row}, by {step:.6g} s, and continues from the earlier time: "
-            "did the clock restart, or a counter wrap? "
-            f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps; or '
-            "do rows of another sensor follow? If so, select one sensor's rows with the key `where`"
+            f"{counted(len(removed))} have a time stamp before that of an earlier row, or far from those about them: "
+            "does the column mix two clocks, or rows of several sensors, does a counter wrap, or were packets late? "
+            "Sort the rows, select those of one sensor with where, read a part with --rows, or give sample_rate "
+            "instead of time"
         )
 
 
 def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
     """The times, and the rows at which stretches begin; even times where stamps are uneven but no row is lost."""
     interval = np.diff(time)
-    if (changed := _changed_rate(interval)) is not None:
-        row, first_hz, second_hz = changed
-        found.question(
-            "changed rate",
-            f"rows come at {first_hz:.6g} Hz up to row {row}, and at {second_hz:.6g} Hz after it; a record must have a "
-            f'single sample rate: read the parts separately, with --rows "0..{row}" and --rows "{row}.."',
-        )
+    _ask_about_changed_rate(interval, found)
     usual = float(np.median(interval))
     # In pairs of which some have lost a row most intervals are those between pairs.
     short = interval < _SHORT * usual
     if np.mean(short) > _OFTEN:
         usual = float(np.median(interval[short]))
     gaps = _gaps(time, usual)
+    uneven = len(gaps) > max(_MANY, _UNEVEN * len(time))
     removed = sum(found.removed.values())
     # Where many rows were removed, some are missing.
-    even = None if removed > _OFTEN * len(time) else _even_clock(time, gaps)
-    own_rate = f'"{(len(time) - 1) / float(time[-1] - time[0]):.6g} Hz" (rows over time)'
-    if removed <= _OFTEN * len(time) and (
-        _like_regular_losses(time) or (even is not None and _like_pauses(time, even, usual))
-    ):
-        even = None
-        found.question(
-            "uneven stamps",
-            "the time stamps are uneven in a regular pattern: either rows are missing in this pattern, or none is "
-            f"missing, and rows are stamped when they are read. If none is missing, give sample_rate = {own_rate} "
-            "instead of time; if rows are missing, give a counter of the samples as `clock`, or set [policy] values = "
-            '"keep", which takes the longer intervals as gaps',
-        )
-    starts = np.concatenate([[0], gaps + 1]).astype(np.int64)
-    lost, longest_s = 0, float(np.max(interval[gaps], initial=0.0))
-    if even is not None:
-        time, starts = even, np.zeros(1, np.int64)
+    whole = removed <= _OFTEN * len(time)
+    even = _even_clock(time, gaps) if uneven and whole else None
+    repeats = whole and _repeat_a_pattern(time)
+    if even is not None and not repeats and _are_arrivals(time, even, usual):
         found.note(
             "uneven stamps",
             f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
             "apart, and no row is missing: the samples are taken as evenly spaced, at "
-            f"{1.0 / float(np.mean(np.diff(time))):.6g} Hz on average (to confirm, state this sample_rate instead of "
+            f"{1.0 / float(np.mean(np.diff(even))):.6g} Hz on average (to confirm, state this sample_rate instead of "
             "time)",
         )
-    elif len(gaps):
-        longer = interval[gaps] / usual
-        lost = round(min(float(np.sum(longer - 1.0)), 2.0**62))
-        if len(gaps) > max(_MANY, _UNEVEN * len(time)) and not _are_losses(time, longer, removed > 0):
-            found.question(
-                "uneven stamps",
-                f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
-                f"apart, and the {len(gaps)} longer intervals are not like those over lost rows. If rows arrive in "
-                f"bursts and none is missing, give sample_rate, such as {own_rate}, instead of time; if the rows are "
-                "counted, give the counter as `clock`",
-            )
-    count = len(starts) - 1
-    if count:
+        return even, np.zeros(1, np.int64)
+    longer = interval[gaps] / usual
+    if repeats or (uneven and (even is not None or not _are_losses(time, longer, removed > 0))):
+        found.question(
+            "uneven stamps",
+            f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
+            f"apart, and {len(gaps)} intervals are longer. If no row is missing (rows arrive in bursts, or are stamped "
+            f'when they are read), give sample_rate = "{(len(time) - 1) / float(time[-1] - time[0]):.6g} Hz" (rows '
+            "over time) instead of time; if rows are missing, give a counter of the samples as `clock`, or set "
+            '[policy] values = "keep", which takes the longer intervals as gaps',
+        )
+    if count := len(gaps):
         found.rows(
             "gap",
             count,
-            f"{count} gap{'s' if count > 1 else ''} with about {lost} samples dropped, the longest {longest_s:.3g} s, "
-            f"the first after row {int(starts[1]) - 1} of the rows that were kept",
+            f"{count} gap{'s' if count > 1 else ''} with about {min(float(np.sum(longer - 1.0)), 2.0**62):.0f} samples "
+            f"dropped, the longest {interval[gaps].max():.3g} s, the first after row {gaps[0]} of the rows that were "
+            "kept",
             "split",
         )
-    return time, starts
+    return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
 
 
 def _gaps(time: Floats, usual: float) -> Whole:
@@ -290,44 +232,29 @@ def _gaps(time: Floats, usual: float) -> Whole:
     return suspect[(time[last] - time[first]) / usual - (last - first) > _GAP - 1.0]
 
 
-def _changed_rate(interval: Floats) -> tuple[int, float, float] | None:
-    """Of intervals `(n,)` that are alike in one part and others in another the row of the change, and both rates (Hz);
-    None where they do not change so. Bursts, jitter and lost rows are in every part."""
-    if (size := len(interval) // _BLOCKS) < 4:
-        return None
+def _ask_about_changed_rate(interval: Floats, found: Findings) -> None:
+    """Intervals `(n,)` that are alike in one part and others in another. Bursts, jitter and losses are in every
+    part."""
+    size = len(interval) // _BLOCKS
+    if size < 4:
+        return
     blocks = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
     usual = np.median(blocks, axis=1)
-    even = np.mean(np.abs(blocks / usual[:, None] - 1.0) < 0.1, axis=1) > _EVEN
-    if np.count_nonzero(even) < 2 * _SOME * _BLOCKS:
-        return None
-    low, high = np.quantile(usual[even], [_SOME, 1.0 - _SOME])
-    if high < _CHANGED * low:
-        return None
-    # The first row whose intervals up to the next block are nearer to the other rate.
-    first = usual[np.argmax(even)]
-    other = high if first < np.sqrt(low * high) else low
-    nearer = np.abs(np.log(interval / other)) < np.abs(np.log(interval / first))
-    ahead = np.convolve(nearer, np.ones(size), "full")[size - 1 :]
-    row = int(np.argmax(nearer & (ahead > _EVEN * size)))
-    return row + 1, float(1.0 / first), float(1.0 / other)
-
-
-def wander(interval: Floats) -> float:
-    """Deviation of block means of the interval from their mean, beyond jitter; relative rms."""
-    if (size := len(interval) // _BLOCKS) < 4:
-        return 0.0
-    blocks = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
-    means = blocks.mean(axis=1)
-    # Jitter of stamps cancels in a block except at its ends.
-    jitter = np.sqrt(2) * float(np.std(blocks - means[:, None])) / size
-    return float(np.sqrt(max(float(np.var(means)) - 4 * jitter**2, 0.0))) / float(means.mean())
+    alike = np.mean(np.abs(blocks / usual[:, None] - 1.0) < 0.1, axis=1) > _ALIKE
+    first = usual[np.argmax(alike)]
+    other = alike & (np.abs(np.log(usual / first)) > np.log(_CHANGED))
+    if min(np.count_nonzero(other), np.count_nonzero(alike & ~other)) >= _SOME:
+        at = int(np.argmax(other))
+        found.question(
+            "changed rate",
+            f"rows come at {1.0 / first:.6g} Hz at first, and at {1.0 / usual[at]:.6g} Hz from about row {at * size} "
+            "on; a record must have a single sample rate: read the parts separately, with --rows",
+        )
 
 
 def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
     """The even times of stamps `(n,)` with seeming gaps after the rows `suspects`: the line through them, or its
     running mean over many bursts, if all stamps stay within a burst of it; None where there are none."""
-    if len(suspects) < max(_MANY, _UNEVEN * len(time)):
-        return None
     interval = np.diff(time)
     longest = float(np.max(interval))
     if longest > _PAUSE * np.quantile(interval[suspects], 0.95):
@@ -340,8 +267,7 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
     if np.quantile(np.abs(periods - period), 0.9) < _EVENLY * period and larger < 0.1 * smaller:
         return None
     rows = np.arange(len(time), dtype=np.float64)
-    slope, first = np.polyfit(rows, time, 1)
-    line = first + slope * rows
+    line: Any = np.polyval(np.polyfit(rows, time, 1), rows)
     ndimage: Any = importlib.import_module("scipy.ndimage")
     width = 2 * (_BURSTS * len(time) // len(suspects) // 2) + 1
     slow: Floats = ndimage.uniform_filter1d(time - line, width, mode="nearest")
@@ -349,6 +275,34 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
         if np.ptp(time - even) <= _WITHIN * longest and np.all(np.diff(even) > 0.0):
             return even
     return None
+
+
+def _are_arrivals(time: Floats, even: Floats, usual: float) -> bool:
+    """Whether stamps of `even` times are those of arrivals, in bursts or in whole milliseconds; if the `usual`
+    intervals are little shorter than even ones, they may be those of the clock, with losses between."""
+    return bool(np.median(np.diff(even)) >= _ARRIVALS * usual) or _in_whole_milliseconds(time, usual)
+
+
+def _in_whole_milliseconds(time: Floats, usual: float) -> bool:
+    """Whether stamps are an even clock's of 500 … 1000 Hz in whole milliseconds: one or two of them apart."""
+    places = 1e3 * time
+    return bool(np.max(np.abs(places - np.rint(places))) < 1e-3) and abs(1e3 * usual - 1.0) < 1e-3
+
+
+def _repeat_a_pattern(time: Floats) -> bool:
+    """Whether the intervals of stamps `(n,)` repeat a pattern of short and long ones that regular losses leave, and
+    uneven stamps of all rows as well: 1, 1, 2. Rows that arrive in bursts are much closer than rows over losses, and
+    single rows that are late or missing at random repeat no pattern."""
+    interval = np.diff(time[:_PATTERN_ROWS])
+    low, high = np.quantile(interval, [0.02, 0.98])
+    apart = np.minimum(interval / np.mean(interval[interval <= high]), 4.0)
+    in_bursts = np.mean(apart < 0.25) > _SHORT
+    if len(interval) < 5 * _MANY or in_bursts or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
+        return False
+    power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * len(apart))) ** 2
+    alike = np.fft.irfft(power)[: min(_PATTERN, len(apart) // 4)]
+    # (Where the rate changes within the record, all are alike.)
+    return bool(np.max(alike[2:]) - np.median(alike[2:]) > _REPEATS * alike[0])
 
 
 def _are_losses(time: Floats, intervals: Floats, removed: bool) -> bool:
@@ -362,36 +316,3 @@ def _are_losses(time: Floats, intervals: Floats, removed: bool) -> bool:
     short = intervals[intervals < 12.0]
     off = np.abs(short - np.rint(short))
     return len(short) > 0.5 * len(intervals) and float(np.mean(off < 0.3)) > 0.9
-
-
-def _like_regular_losses(time: Floats) -> bool:
-    """Whether the intervals of stamps `(n,)` repeat a pattern that regular losses leave, and uneven stamps of all rows
-    as well: 1, 1, 2. Rows that arrive in bursts are much closer than rows over losses, and single rows that are late
-    or missing at random repeat no pattern."""
-    interval = np.diff(time[:_PATTERN_ROWS])
-    if len(interval) < 5 * _MANY:
-        return False
-    usual = float(np.mean(interval[interval <= np.quantile(interval, 0.99)]))
-    apart = np.minimum(interval / usual, 4.0) - 1.0
-    in_bursts = np.mean(apart < -0.75) > 0.3
-    low, high = np.quantile(interval, [0.02, 0.98])
-    if in_bursts or np.std(apart) < 0.15 or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
-        return False
-    count = len(apart)
-    power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * count)) ** 2
-    alike = np.fft.irfft(power)[: min(_PATTERN, count // 4)]
-    # (Where the rate changes within the record, all are alike.)
-    return bool(np.max(alike[2:]) - np.median(alike[2:]) > _REPEATS * alike[0])
-
-
-def _like_pauses(time: Floats, even: Floats, usual: float) -> bool:
-    """Whether the intervals of the `even` times of stamps are little longer than the `usual` ones within a burst: these
-    may be those of the clock, with pauses between."""
-    ratio = float(np.median(np.diff(even))) / usual
-    return _SAME_CLOCK < ratio < _ARRIVALS and not _in_whole_milliseconds(time, usual)
-
-
-def _in_whole_milliseconds(time: Floats, usual: float) -> bool:
-    """Whether stamps are an even clock's of 500 … 1000 Hz in whole milliseconds: one or two of them apart."""
-    places = 1e3 * time
-    return bool(np.max(np.abs(places - np.rint(places))) < 1e-3) and abs(1e3 * usual - 1.0) < 1e-3

@@ -1,6 +1,6 @@
 """Files of numbers -> `FileTable`: CSV and other text, NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet.
 
-Text is read line by line, cell by cell: every row is counted, whatever is torn in it.
+Every row of a text is counted, whatever is torn in it.
 """
 
 import contextlib
@@ -9,16 +9,16 @@ import importlib
 import itertools
 import math
 import re
-from array import array
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.records.column_map import DELIMITERS, ColumnMap, Measured, Source, TextTable, Where
+from gradcal_jax.records.column_map import ColumnMap, Source, TextTable, Where
 from gradcal_jax.records.log import Bools, LogError, library, naming, quietly
 from gradcal_jax.tables.problems import instead
 from gradcal_jax.tables.sizes import check_size
@@ -71,10 +71,6 @@ class FileTable:
             f"{source.words()}: the array has the shape {values.shape}: give the index of one of its columns"
         )
 
-    def rows_where(self, where: Where) -> Bools:
-        """`(rows,)`: the rows that are taken. Raises `LogError` where there are none."""
-        return rows_where(where, self.array(where))
-
 
 def rows_where(where: Where, values: Array) -> Bools:
     """`(rows,)`: the rows with the value. Raises `LogError` where there are none."""
@@ -104,227 +100,215 @@ def read_table(path: Path, columns: ColumnMap) -> FileTable:
         raise LogError(words)
     if path.is_dir() or not path.exists():
         raise LogError(f"{path} {'is a directory' if path.is_dir() else 'does not exist'}")
-    sources = list(columns.named().values())
-    chosen = [one.where for one in sources if isinstance(one, Measured) and one.where is not None]
     with naming(path):
         try:
             if path.stat().st_size == 0:
                 raise LogError("is empty")
             if kind in _TEXT:
-                return _TextReader(path, columns.csv, sources, chosen, columns.where).table
-            wanted = {one.column for one in (*sources, *chosen, *([columns.where] if columns.where else []))}
-            return FileTable(_READERS[kind](path, wanted))
+                return _read_text(path, columns)
+            return FileTable(_READERS[kind](path, {one.column for one in (*columns.sources(), *columns.wheres())}))
         except OSError as error:
             raise LogError(f"cannot be read: {error.strerror or error}") from None
 
 
-class _TextReader:
-    """Reads a text table."""
+class _Lines:
+    """Lines as a file to read."""
 
-    def __init__(
-        self, path: Path, layout: TextTable, sources: Sequence[Source], chosen: Sequence[Where], where: Where | None
-    ) -> None:
-        self._layout, self._where = layout, where
-        self._delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
-        if any(source.index is not None for source in sources):
-            raise LogError("in a text table, a column has no index: give only the name or number of the column")
-        numbers = {source.column for source in sources}
-        texts = {one.column for one in (*chosen, *([where] if where else []))}
-        try:
-            with path.open(encoding=layout.encoding) as lines:
-                self._read(lines, numbers, texts)
-        except UnicodeError:
-            name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
-            text = f'is not text in {name}: state its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
-            raise LogError(f"{text}; or is it a file of another kind?") from None
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines = lines
 
-    def _read(self, lines: TextIO, numbers: set[str | int], texts: set[str | int]) -> None:
-        for _ in range(self._layout.skip):
-            lines.readline()
-        begin = list(itertools.islice(lines, _PREAMBLE))
-        header, width = list[str](), 0
-        if self._layout.header:
-            place, header = self._header(begin, {one for one in numbers if isinstance(one, str)})
-            width = 0 if begin[place].lstrip().startswith("#") else len(header)
-            begin = begin[place + 1 :]
-        places = {one: self._place(one, header) for one in numbers | texts}
-        cells = {places[one]: _Cells(f"'{one}'" if isinstance(one, str) else f"number {one}") for one in numbers}
-        words = {places[one]: list[str]() for one in texts}
-        first, kinds = list[list[str]](), set[str]()
-        count, wide, widest = 0, 0, list[str]()
-        for row in self._rows(itertools.chain(begin, lines)):
-            if len(first) < _LOOKED_AT:
-                first.append(row)
-            count += 1
-            if width and any(row[width:]):
-                wide, widest = wide + 1, widest or row
-            if self._where is not None:
-                kinds.add(kind := _cell(row, places[self._where.column]))
-                if not self._where.means(kind):
-                    continue
-            for place, texts_of in words.items():
-                texts_of.append(_cell(row, place))
-            for place, column in cells.items():
-                if place not in words:
-                    column.add(_cell(row, place))
-        if not count:
-            raise LogError("there are no rows below the header")
-        if self._where is not None:
-            rows_where(self._where, np.array(sorted(kinds)))
-        if wide > max(_MANY_UNREAD, _SHARE_UNREAD * count):
-            raise LogError(
-                f"{wide} of {count} rows have more fields than the {width} names of the header, such as "
-                f"'{','.join(widest)[:60]}': do the numbers contain commas, or does the first column have no name? "
-                "Correct the file, or refer to the columns by numbers, with header = false and skip = 1 under [csv]"
-            )
-        if not texts and not self._layout.lines:
-            _refuse_several(first, header, set(cells))
-        arrays: dict[int, Array] = {place: column.numbers() for place, column in cells.items() if place not in words}
-        arrays |= {place: np.array(held, str) for place, held in words.items()}
-        self.table = FileTable({one: arrays[place] for one, place in places.items()}, _called(places, header, first[0]))
+    def __iter__(self) -> Iterator[str]:
+        return self._lines
 
-    def _rows(self, lines: Iterable[str]) -> Iterator[list[str]]:
-        """The fields of the rows, without other lines, remarks and checksums, with decimal points."""
-        commas = str.maketrans({",": ".", ".": _POINT}) if self._layout.decimal == "," else None
-        for line in lines:
-            if not line.startswith(self._layout.lines):
-                continue
-            if "#" in line:
-                line = line.partition("#")[0]
-            if "*" in line:
-                line = _CHECKSUM.sub("", line)
-            if not line or line.isspace():
-                continue
-            yield self._split(line.translate(commas) if commas else line)
-
-    def _split(self, line: str) -> list[str]:
-        fields = line.split(self._delimiter)
-        if self._delimiter is not None and '"' in line:
-            with contextlib.suppress(csv.Error):
-                fields = next(csv.reader([line], delimiter=self._delimiter), list[str]())
-        return [one.strip() for one in fields]
-
-    def _header(self, lines: Sequence[str], wanted: set[str]) -> tuple[int, list[str]]:
-        """The line with the names: the first with all names of the map, or else the first that is not all numbers, or
-        the last remark above the numbers."""
-        split = [self._split(line.strip().lstrip("#")) for line in lines]
-        if wanted:
-            for place, names in enumerate(split):
-                if wanted <= set(names):
-                    return place, names
-        remark: tuple[int, list[str]] | None = None
-        for place, names in enumerate(split):
-            if lines[place].lstrip().startswith("#"):
-                remark = place, names
-            elif any(np.isnan(_number(name)) and name.lower() != "nan" for name in names) and any(names):
-                return place, names
-            elif any(names):
-                break
-        if remark is None:
-            raise LogError("the file has no line of column names: write header = false under [csv]")
-        return remark
-
-    def _place(self, column: str | int, header: list[str]) -> int:
-        if isinstance(column, int):
-            if self._layout.header and column >= len(header):
-                raise LogError(f"there is no column number {column}: the header has {len(header)} columns, from 0")
-            return column
-        if not self._layout.header:
-            raise LogError(f"column '{column}' is a name, and the file has no header: give its number, from 0")
-        places = [str(place) for place, name in enumerate(header) if name == column]
-        if len(places) == 1:
-            return int(places[0])
-        if places:
-            raise LogError(
-                f"several columns are named '{column}': give the number of the column instead, {' or '.join(places)} "
-                "(numbered from 0)"
-            )
-        marks = {";": ";", "\t": "tab", ",": ","} if len(header) == 1 else {}
-        mark = next((name for mark, name in marks.items() if mark in header[0]), None)
-        hint = f'; or is delimiter = "{mark}" missing under [csv]?' if mark else ""
-        raise LogError(f"there is no column '{column}'; {instead(column, header)}{hint}")
+    def read(self, _: int) -> str:
+        """Some of the lines; none at the end."""
+        return "".join(itertools.islice(self._lines, 4096))
 
 
-def _called(places: Mapping[str | int, int], header: list[str], first: list[str]) -> dict[str | int, list[str]]:
-    """What the file calls its columns. A row of units may stand below the names: no word of it is a number."""
-    called: dict[str | int, list[str]] = {one: [header[place]] for one, place in places.items() if place < len(header)}
-    if all(np.isnan(_number(text)) for text in first):
+def _read_text(path: Path, columns: ColumnMap) -> FileTable:
+    layout, where = columns.csv, columns.where
+    texts = {one.column for one in columns.wheres()}
+    wanted = {one.column for one in columns.sources()} | texts
+    if any(source.index is not None for source in columns.sources()):
+        raise LogError("in a text table, a column has no index: give only the name or number of the column")
+    try:
+        with path.open(encoding=layout.encoding) as lines:
+            begin = list(itertools.islice(lines, layout.skip, layout.skip + _PREAMBLE))
+            above, header = _header(begin, wanted, layout) if layout.header else (0, list[str]())
+            places = {one: _place(one, header, layout) for one in wanted}
+            rows = _rows(itertools.chain(begin[above:], lines), layout)
+            first = list(itertools.islice(rows, _LOOKED_AT))
+            as_text = {places[one] for one in texts} | ({len(header)} if header else set[int]())
+            cells = _cells(itertools.chain(first, rows), as_text.union(places.values()), as_text, layout)
+    except (UnicodeError, LookupError):
+        name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
+        text = f'is not text in {name}: state its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
+        raise LogError(f"{text}; or is it a file of another kind?") from None
+    if not first:
+        raise LogError("there are no rows below the header")
+    if where is not None:
+        cells = cells[rows_where(where, _words(cells[places[where.column]]))]
+    extra: Any = cells[len(header)].dropna() if header else cells[:0]
+    if len(extra) > max(_MANY_UNREAD, _SHARE_UNREAD * len(cells)):
+        raise LogError(
+            f"{len(extra)} of {len(cells)} rows have more fields than the {len(header)} names of the header, such as "
+            f"'{extra.iloc[0][:40]}': do the numbers contain commas, or does the first column have no name? "
+            "Correct the file, or refer to the columns by numbers, with header = false and skip = 1 under [csv]"
+        )
+    fields = [_fields(line, layout.mark) for line in first]
+    if not texts and not layout.lines:
+        _refuse_several(fields, header, set(places.values()))
+    arrays = {one: _words(cells[at]) if one in texts else _numbers(one, cells[at]) for one, at in places.items()}
+    called = {one: header[at : at + 1] for one, at in places.items()}
+    # A row of units may stand below the names: no word of it is a number.
+    if all(np.isnan(_number(text)) for text in fields[0]):
         for one, names in called.items():
-            unit = _cell(first, places[one]).strip("()[] ")
-            names += [f"{names[0]} ({unit})"] * bool(unit)
-    return called
+            unit = "".join(fields[0][places[one] : places[one] + 1]).strip("()[] ")
+            names += [f"{name} ({unit})" for name in names if unit]
+    return FileTable(arrays, called)
+
+
+def _cells(rows: Iterator[str], places: set[int], texts: set[int], layout: TextTable) -> Any:
+    """The columns at some places, those of `texts` as such, as a data frame."""
+    pandas: Any = importlib.import_module("pandas")
+    names = range(max(places) + 1)
+    # A row of zeros says how many fields a row may have.
+    zeros = (layout.mark or " ").join("0" for _ in names) + "\n"
+    with warnings.catch_warnings(action="ignore"):
+        cells = pandas.read_csv(
+            _Lines(itertools.chain([zeros], rows)),
+            sep=layout.mark or r"\s+",
+            header=None,
+            names=names,
+            usecols=sorted(places),
+            index_col=False,
+            dtype=dict.fromkeys(texts, str),
+            quoting=csv.QUOTE_NONE,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            low_memory=False,
+        )
+    return cells.iloc[1:]
+
+
+def _rows(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
+    """The rows without other lines, remarks, checksums and quotes, with decimal points."""
+    commas = str.maketrans({",": ".", ".": _POINT}) if layout.decimal == "," else None
+    for line in lines:
+        if not line.startswith(layout.lines):
+            continue
+        row = line.partition("#")[0] if "#" in line else line
+        if "*" in row:
+            row = _CHECKSUM.sub("", row)
+        if not row or row.isspace():
+            continue
+        if commas:
+            row = row.translate(commas)
+        if '"' in row and layout.mark:
+            row = layout.mark.join(field.replace(layout.mark, " ") for field in _fields(row, layout.mark))
+        yield row if row.endswith("\n") else row + "\n"
+
+
+def _fields(line: str, mark: str | None) -> list[str]:
+    fields = line.split(mark)
+    if mark and '"' in line:
+        with contextlib.suppress(csv.Error):
+            fields = next(csv.reader([line], delimiter=mark), list[str]())
+    return [one.strip() for one in fields]
+
+
+def _header(lines: Sequence[str], wanted: set[str | int], layout: TextTable) -> tuple[int, list[str]]:
+    """The number of lines down to the names, and these: the first with all names of the map, or else the first that is
+    not all numbers, or the last remark above the numbers."""
+    known, found = {one for one in wanted if isinstance(one, str)}, 0
+    split = [_fields(line.strip().lstrip("#"), layout.mark) for line in lines]
+    for at, names in enumerate(split, 1):
+        if known and known <= set(names):
+            return at, names
+    for at, names in enumerate(split, 1):
+        if lines[at - 1].lstrip().startswith("#"):
+            found = at
+        elif any(names):
+            found = at if any(np.isnan(_number(name)) and name.lower() != "nan" for name in names) else found
+            break
+    if not found:
+        raise LogError("the file has no line of column names: write header = false under [csv]")
+    return found, split[found - 1]
+
+
+def _place(column: str | int, header: Sequence[str], layout: TextTable) -> int:
+    if isinstance(column, int):
+        if layout.header and column >= len(header):
+            raise LogError(f"there is no column number {column}: the header has {len(header)} columns, from 0")
+        return column
+    if not layout.header:
+        raise LogError(f"column '{column}' is a name, and the file has no header: give its number, from 0")
+    places = [str(place) for place, name in enumerate(header) if name == column]
+    if len(places) == 1:
+        return int(places[0])
+    if places:
+        raise LogError(
+            f"several columns are named '{column}': give the number of the column instead, {' or '.join(places)} "
+            "(numbered from 0)"
+        )
+    mark = next((mark for mark in (";", "\t", ",") if len(header) == 1 and mark in header[0]), None)
+    hint = f'; or is delimiter = "{mark}" missing under [csv]?'.replace("\t", "tab") if mark else ""
+    raise LogError(f"there is no column '{column}'; {instead(column, header)}{hint}")
 
 
 def _refuse_several(rows: Sequence[Sequence[str]], header: Sequence[str], used: set[int]) -> None:
     """A table whose first lines are of several kinds, or of several sensors."""
-    for place in [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if header else [0]:
+    for place, name in enumerate(header or [""]):
         values = [row[place] for row in rows if len(row) > place]
         kinds = list(dict.fromkeys(values))
         turns = sum(a != b for a, b in itertools.pairwise(values))
-        if place in used or not 1 < len(kinds) <= 0.1 * len(values) or turns < 0.2 * len(values):
-            continue
-        some = ", ".join(kinds[:4])
-        number = not np.isnan(_number(kinds[0]))
-        if header:
-            equals = kinds[0] if number else f'"{kinds[0]}"'
+        known = _WHICH.fullmatch(name) if header else np.isnan(_number(kinds[0]))
+        if known and place not in used and 1 < len(kinds) <= 0.1 * len(values) and turns >= 0.2 * len(values):
             raise LogError(
-                f"column '{header[place]}' has {len(kinds)} alternating values ({some}): does the table mix rows of "
-                "several sensors? Select the rows of one sensor, such as "
-                f'where = {{ column = "{header[place]}", equals = {equals} }}, for the whole map or one of its columns'
-            )
-        if not number:
-            raise LogError(
-                f"the file mixes lines of several kinds ({some}): select the lines of one kind under [csv], such as "
-                f'lines = "{kinds[0]}"'
+                f"column '{name or 0}' has {len(kinds)} alternating values ({', '.join(kinds[:4])}): "
+                "does the table mix rows of several sensors, or lines of several kinds? Select the rows of one, such "
+                f'as where = {{ column = "{name}", equals = "{kinds[0]}" }}, for the whole map or one of its columns, '
+                f'or the lines of one kind under [csv], such as lines = "{kinds[0]}"'
             )
 
 
-class _Cells:
-    """The cells of a column of numbers; those that are none, and no word for a missing value."""
+def _words(cells: Any) -> Array:
+    return cells.fillna("").str.strip().to_numpy(str)
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._values = array("d")
-        self._unread = list[str]()
 
-    def add(self, text: str) -> None:
-        value = _number(text)
-        self._values.append(value)
-        if value != value and not _MISSING.fullmatch(text):
-            self._unread.append(text)
-
-    def numbers(self) -> Array:
-        """The numbers, NaN for others. Raises `LogError` for a column that is not one of numbers."""
-        values, unread = np.array(self._values), self._unread
-        for text in unread:
-            if _COMMA.fullmatch(text):
-                shown = text[:40].replace(_POINT, ".")
-                raise LogError(
-                    f"column {self._name} has a decimal comma or a thousands separator: '{shown}'; write decimal = "
-                    '"," under [csv] for decimal commas, and numbers without marks of thousands'
-                )
-        if unread and not np.isfinite(values).any():
-            if _DATE.fullmatch(unread[-1]):
-                raise LogError(
-                    f"column {self._name} has dates or times of day; write them as seconds, in pandas: table = "
-                    "pd.read_csv(file); time = pd.to_datetime(table[column]); table[column] = (time - "
-                    "time[0]).dt.total_seconds(); table.to_csv(file, index=False). Or leave out time and give "
-                    f"sample_rate: '{unread[-1][:40]}'"
-                )
+def _numbers(column: str | int, cells: Any) -> Array:
+    """The numbers of a column, NaN for others. Raises `LogError` for a column that is not one of numbers."""
+    if cells.dtype.kind in "iuf":
+        return cells.to_numpy()
+    name = f"'{column}'" if isinstance(column, str) else f"number {column}"
+    texts = ["" if cell != cell else str(cell).strip() for cell in cells.tolist()]
+    values = np.array([_number(text) for text in texts])
+    unread = [texts[row] for row in np.flatnonzero(np.isnan(values)) if not _MISSING.fullmatch(texts[row])]
+    for text in unread:
+        if _COMMA.fullmatch(text):
+            shown = text[:40].replace(_POINT, ".")
             raise LogError(
-                f"column {self._name} has no numbers, only texts such as '{unread[-1][:40]}' (hexadecimal counts must "
-                "be written as decimal numbers)"
+                f"column {name} has a decimal comma or a thousands separator: '{shown}'; write decimal = "
+                '"," under [csv] for decimal commas, and numbers without marks of thousands'
             )
-        if len(unread) > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+    if unread and not np.isfinite(values).any():
+        if _DATE.fullmatch(unread[-1]):
             raise LogError(
-                f"column {self._name}: {len(unread)} of {len(values)} rows have no number but text, for example "
-                f"'{unread[-1][:40]}': is this another notation of numbers? Correct these cells, or leave them empty"
+                f"column {name} has dates or times of day; write them as seconds, in pandas: table = "
+                "pd.read_csv(file); time = pd.to_datetime(table[column]); table[column] = (time - "
+                "time[0]).dt.total_seconds(); table.to_csv(file, index=False). Or leave out time and give "
+                f"sample_rate: '{unread[-1][:40]}'"
             )
-        return values
-
-
-def _cell(row: Sequence[str], place: int) -> str:
-    return row[place] if place < len(row) else ""
+        raise LogError(
+            f"column {name} has no numbers, only texts such as '{unread[-1][:40]}' (hexadecimal counts must "
+            "be written as decimal numbers)"
+        )
+    if len(unread) > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+        raise LogError(
+            f"column {name}: {len(unread)} of {len(values)} rows have no number but text, for example "
+            f"'{unread[-1][:40]}': is this another notation of numbers? Correct these cells, or leave them empty"
+        )
+    return values
 
 
 def _number(text: str) -> float:
@@ -341,22 +325,19 @@ def _check_size(declared: int, path: Path) -> None:
         raise LogError(f"is damaged, or {error}") from None
 
 
-def _read_npz(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
+def _read_numpy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
     # Opened here: NumPy leaves the file open where it is no archive.
-    kind = "NumPy's .npz (without pickles)"
-    with quietly(kind), path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+    with quietly(f"NumPy's {path.suffix} (without pickles)"), path.open("rb") as file:
+        opened: Any = np.load(file, allow_pickle=False)
+        if path.suffix.lower() == ".npy":
+            if opened.ndim != 2:
+                raise LogError("the array must have one row for each sample and one column for each quantity")
+            columns: Array = opened.T
+            return dict(enumerate(columns))
         # Other arrays are named but not read: they may be large.
         infos = [one for one in opened.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         _check_size(sum(info.file_size for info in infos), path)
         return {name: opened[name] if name in wanted else np.empty(0) for name in opened.files}
-
-
-def _read_npy(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
-    with quietly("NumPy's .npy (without pickles)"), path.open("rb") as file:
-        values = np.asarray(np.load(file, allow_pickle=False))
-    if values.ndim != 2:
-        raise LogError("the array must have one row for each sample and one column for each quantity")
-    return dict(enumerate(values.T))
 
 
 def _read_matlab(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
@@ -385,18 +366,18 @@ def _read_parquet(path: Path, wanted: set[str | int]) -> dict[str | int, Array]:
     with quietly("Parquet"):
         file = parquet.ParquetFile(path)
         _check_size(8 * file.metadata.num_rows * len(wanted), path)
-        arrays: dict[str | int, Array] = {str(name): np.empty(0) for name in file.schema_arrow.names}
-        table = file.read(columns=[name for name in arrays if name in wanted])
-        for name in table.column_names:
-            values: Array = table.column(name).to_numpy()
-            # Stamps of a date are counts of its resolution: nanoseconds as a rule.
-            arrays[name] = values.astype(np.int64) if values.dtype.kind == "M" else values
+        names = [str(name) for name in file.schema_arrow.names]
+        frame = file.read(columns=[name for name in names if name in wanted]).to_pandas()
+        arrays: dict[str | int, Array] = {name: np.empty(0) for name in names}
+        # Stamps of a date are counts of its resolution: nanoseconds as a rule.
+        for name, column in frame.items():
+            arrays[name] = column.to_numpy(np.int64 if column.dtype.kind == "M" else None)
         return arrays
 
 
 _READERS: Final[Mapping[str, Callable[[Path, set[str | int]], dict[str | int, Array]]]] = {
-    ".npz": _read_npz,
-    ".npy": _read_npy,
+    ".npz": _read_numpy,
+    ".npy": _read_numpy,
     ".mat": _read_matlab,
     ".parquet": _read_parquet,
 }

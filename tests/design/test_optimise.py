@@ -5,16 +5,14 @@ import re
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from nothing_omitted import with_nothing_omitted
-from search_problem import SPEC, exact, targets_met
+from search_problem import SPEC, exact
 
 import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.optimise import belief_of, run_search
+from gradcal_jax.design.optimise import Optimised, belief_of, run_search
 from gradcal_jax.design.plan_limit import limit
-from gradcal_jax.design.searching import Optimised
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.spec import spec as spec_file
 from gradcal_jax.spec.changes import changed, tables_of
@@ -52,29 +50,8 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     (as_often,) = limit(changed(spec, {"plan.cycle.moves[0].read_every": closest}))
     assert as_often.certified <= before.certified * (1.0 + 1e-9)
     assert after.certified == pytest.approx(as_often.certified, rel=2e-3)
-    assert before.certified <= before.reached * (1 + 1e-9)
     assert before.certified < best.now
     assert after.efficiency == pytest.approx(after.certified / best.now)
-
-
-@pytest.mark.long
-def test_a_quick_search_is_near(spec, best):
-    *steps, quick = run_search(spec, quick=True)
-    assert isinstance(quick, Optimised)
-    assert quick.now < 1.1 * best.now
-    assert len(steps) < 30
-
-
-@pytest.mark.long
-def test_the_recipe_of_limited_travel_is_better_and_stays_within_it(spec):
-    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
-    moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
-    given = changed(spec, {"rig.table.axis[0].travel": "360 deg", "plan.cycle.moves": moves})
-    *_, best = run_search(given, steps=600)
-    assert isinstance(best, Optimised)
-    assert best.now < 0.5 * best.before
-    places = np.cumsum([s.move.angle for s in best.spec.gradient_schedule.steps])
-    assert np.max(np.abs(places)) <= math.radians(360.0) * (1 + 1e-9)
 
 
 def test_a_stopped_search_ends_with_the_best_plan_so_far_and_no_polish(spec):
@@ -86,7 +63,7 @@ def test_a_stopped_search_ends_with_the_best_plan_so_far_and_no_polish(spec):
 def test_steps_of_a_search_are_logged(spec, caplog):
     steps = []
     with caplog.at_level("INFO", "gradcal_jax"):
-        found = gj.optimise(spec, quick=True, watch=steps.append)
+        found = gj.optimise(spec, steps=400, watch=steps.append)
     of_search = [record.getMessage() for record in caplog.records if record.name == "gradcal_jax.design.optimise"]
     assert len(of_search) == len(steps) + 1
     assert len(steps) > 1
@@ -161,28 +138,21 @@ def test_a_standing_axis_has_a_limit_of_its_bias_and_the_standard_method_neither
             refused(paper("static_standard"))
 
 
-def with_targets(spec, own: str, bias: str = "") -> Spec:
-    """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
+def with_target(spec, own: str) -> Spec:
+    """The spec with a target for what is minimised, as a file would have it."""
     (row,) = tables_of(spec)["requirement"]
-    rows = [row | {"target": own}]
-    if bias:
-        rows.append(rows[0] | {"name": "worst", "statistic": "max", "target": bias})
-    return changed(spec, {"requirement": rows})
+    return changed(spec, {"requirement": [row | {"target": own}]})
 
 
 def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin(spec):
     before, omits, spec = residual(spec), spec, with_nothing_omitted(spec)
-    (found,) = run_search(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
+    (found,) = run_search(with_target(spec, f"{before / 0.88} ppm"), until_met=True)
     assert isinstance(found, Optimised)
     assert "without a search" in found.sentence
     assert found.converged
     assert found.evaluations == 0
-    # Within the target, but not by the margin; and one of two is missed.
-    assert targets_met(with_targets(spec, f"{before / 0.88} ppm"))
-    assert not targets_met(with_targets(spec, f"{before / 0.95} ppm"))
-    assert not targets_met(with_targets(spec, f"{before / 0.88} ppm", "0.001 ppm"))
     # What the spec omits counts as in the verdict of `predict`, here 100 ppm of the table's angle alone.
-    aimed = with_targets(omits, f"{before / 0.88} ppm")
+    aimed = with_target(omits, f"{before / 0.88} ppm")
     *steps, found = run_search(aimed, steps=2, until_met=True)
     assert steps
     assert not found.converged
@@ -194,7 +164,7 @@ def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, bes
     """And far sooner than the search that goes on."""
     target = best.now / 0.6
     assert target < residual(spec)
-    *steps, found = run_search(with_targets(with_nothing_omitted(spec), f"{target} ppm"), steps=3000, until_met=True)
+    *steps, found = run_search(with_target(with_nothing_omitted(spec), f"{target} ppm"), steps=3000, until_met=True)
     assert isinstance(found, Optimised)
     assert "stopped early: every target is met with a margin of 10%" in found.sentence
     rows = {row.name: row for row in predict(found.spec).requirements}

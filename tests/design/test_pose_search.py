@@ -9,14 +9,11 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.optimise import run_search
+from gradcal_jax.design.optimise import Optimised, SearchStep, run_search
 from gradcal_jax.design.plan_objective import EXCESS
-from gradcal_jax.design.searching import Optimised, SearchStep
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.tables import writing
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
 
@@ -73,9 +70,6 @@ def test_the_targets_of_other_requirements_limit_a_search():
     *_, best = run_search(small(**minimising(name, **{other.quantity: f"{target} {unit}"})), steps=200)
     assert best.converged
     assert best.rows[1].now <= target < free.rows[1].now
-    *_, never = run_search(small(**minimising(name, **{other.quantity: f"{1e-6 * target} {unit}"})), steps=40)
-    assert not never.converged
-    assert f"meets the target of {other.name}" in never.sentence
 
 
 @pytest.mark.long
@@ -147,24 +141,3 @@ def test_turns_are_within_the_full_scale_of_the_gyro():
     plan = CyclePlan(narrow)
     most = min(332.5, *(math.degrees(float(axis.max_rate)) for axis in spec.rig.table.axis))
     assert np.degrees(plan.limits.rates) == pytest.approx([most, most])
-
-
-@pytest.mark.evidence
-def test_searches_from_random_cycles_end_alike(tmp_path, capsys):
-    """The two-axis headline by the command as it is, from cycles that are nothing but chance: within 2 % of one another
-    and of the plan that is kept, which is 1.6 times better than the one by hand."""
-    by_hand, gains = gj.read_spec(EXPERIMENTS / "hand2.toml"), []
-    plan, before = CyclePlan(by_hand), [row.decisive for row in gj.predict(by_hand).requirements]
-    for seed in range(3):
-        drawn = Neighbourhood(plan.limits, 40).random(30, np.random.default_rng(seed))
-        begins = tmp_path / f"random{seed}.toml"
-        writing.write_toml(plan.spec_of(plan.start._replace(turns=drawn)), begins)
-        assert main(["optimise", str(begins), "-o", str(tmp_path / f"found{seed}.toml"), "--json"]) == 0
-        now = [row["now"] for row in json.loads(capsys.readouterr().out)["requirements"]]
-        gains.append(math.exp(np.mean(np.log(np.array(before) / np.array(now)))))
-        with capsys.disabled():
-            print(f"from a random cycle: {gains[-1]:.3f} times better than by hand")
-    kept = [row.decisive for row in gj.predict(gj.read_spec(EXPERIMENTS / "descended.toml")).requirements]
-    gains.append(math.exp(np.mean(np.log(np.array(before) / np.array(kept)))))
-    assert gains[-1] > 1.6
-    assert max(gains) / min(gains) < 1.02

@@ -8,7 +8,7 @@ import pytest
 
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.plan_objective import largest_log
-from gradcal_jax.design.plan_value import inverse_root, largest_alike, nodes_for
+from gradcal_jax.design.plan_value import inverse_root
 from gradcal_jax.design.slots import CycleCoordinates, SlotTurn, TableLimits, Visits
 
 LIMITS = TableLimits(
@@ -93,18 +93,6 @@ def test_the_inverse_of_badly_scaled_information():
     assert covariance == pytest.approx(np.linalg.inv((rows / size).T @ (rows / size)), rel=1e-9)
     singular = np.asarray(inverse_root(jnp.asarray(np.diag([1.0, 1.0, -1.0]))))
     assert np.all(np.isnan(singular @ singular.T))
-
-
-@pytest.mark.parametrize(("turned", "waves"), [(1.0, 3), (7.0, 5), (25.0, 5)])
-def test_nodes_suffice_for_the_largest_turn_of_their_class(turned, waves):
-    largest = largest_alike(turned, waves)
-    assert largest >= turned
-    assert nodes_for(largest, waves) == nodes_for(turned, waves)
-    # Gauss–Legendre nodes integrate the fastest wave of a column over the turn.
-    x, w = np.polynomial.legendre.leggauss(nodes_for(turned, waves))
-    at = 0.5 * largest * (x + 1.0)
-    exact = math.sin(waves * largest) / waves
-    assert 0.5 * largest * np.sum(w * np.cos(waves * at)) == pytest.approx(exact, abs=1e-9)
 
 
 def test_changed_cycles_keep_the_reach_and_the_number_of_turns():

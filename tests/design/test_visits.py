@@ -72,9 +72,8 @@ def test_any_vector_is_a_plan_within_the_limits(spec, kind):
         assert np.all(ramp <= 0.5 * turning * (1 + 1e-6) + 1e-9)
         assert np.all(np.abs(rate) <= limits.accelerations[0] * ramp * (1 + 1e-9))
         assert np.all(rests[of.rests] >= limits.shortest - 1e-9)
-        place = np.cumsum(angle)
-        low, high = limits.reach[0]
-        assert np.all((place >= low - 1e-9) & (place <= high + 1e-9))
+        place, (low, high) = np.cumsum(angle), limits.reach[0]
+        assert low - 1e-9 <= np.min(place) <= np.max(place) <= high + 1e-9
         np.testing.assert_allclose(angle, np.sign(rate) * np.abs(rate) * (turning - ramp), rtol=1e-5, atol=1e-2)
         if left > 0.0:
             filled = np.bincount(visits.group, turning * (of.axis >= 0) + rests)

@@ -13,7 +13,7 @@ def drifts(rate, sample_interval_s, integration_time_s, averaging_time_s, *, val
     result = [np.zeros(0)]
     for start, stop in formulas.runs(np.ones(len(rate), bool) if valid is None else valid).tolist():
         if stop - start >= before + length:
-            angle = running_angle(rate[start:stop], first_sample=start)
+            angle = running_angle(rate[start:stop])
             anchor = angle[before : len(angle) - length]
             ahead = (angle[before + length :] - anchor) / length
             result.append(ahead - (anchor - angle[: len(anchor)]) / before)

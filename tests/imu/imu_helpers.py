@@ -69,38 +69,35 @@ def cosine_ramps(angle: float, peak: float, acceleration: float) -> tuple[float,
     return top, ramp, max(size / top + ramp, 2.0 * ramp)
 
 
-def rest(duration: float, mounting: int = 0) -> Step:
-    return Step(-1, duration, mounting=mounting)
+def rest(duration: float) -> Step:
+    return Step(-1, duration)
 
 
-def turn(axis: int, degrees: float, peak: float = 300.0, duration: float = 0.0, mounting: int = 0) -> Step:
-    return Step(axis, duration, degrees * DEG, peak * DEG, mounting=mounting)
+def turn(axis: int, degrees: float, peak: float = 300.0, duration: float = 0.0) -> Step:
+    return Step(axis, duration, degrees * DEG, peak * DEG)
 
 
-def poses(
-    angles: Sequence[Sequence[float]], dwell: float, *, move: float | None = None, peak: float = 90.0
-) -> list[Step]:
+def poses(angles: Sequence[Sequence[float]], dwell: float, *, move: float = 0.0) -> list[Step]:
     """Rests of `dwell` at poses (an angle of each axis, degrees), the first where the table begins.
 
-    `move`: how long the way from one to the next takes, shared among its axes; else as quick as `peak` (deg/s) allows.
+    `move`: how long the way from one to the next takes, shared among its axes; else as quick as 90 deg/s allow.
     """
     steps = [rest(dwell)]
     for before, goal in pairwise(angles):
         turned = [(k, b - a) for k, (a, b) in enumerate(zip(before, goal, strict=True)) if abs(b - a) > 1e-9]
-        steps += [turn(k, by, peak, 0.0 if move is None else move / len(turned)) for k, by in turned]
-        steps.append(rest(dwell))
+        steps += [*(turn(k, by, 90.0, move / len(turned)) for k, by in turned), rest(dwell)]
     return steps
 
 
-def up_along(directions, *, unwound: bool = True) -> list[tuple[float, float]]:
-    """Poses of `two_axes` (tilt, spin in degrees) with which directions of the body point up; `unwound`: the spin goes
-    on from pose to pose the short way.
+def up_along(directions) -> list[tuple[float, float]]:
+    """Poses of `two_axes` (tilt, spin in degrees) with which directions of the body point up; the spin goes on from
+    pose to pose the short way.
     """
     found: list[tuple[float, float]] = []
     for direction in directions:
         x, y, z = np.asarray(direction, float) / np.linalg.norm(direction)
         tilt, spin = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(x, y))
-        if unwound and found:
+        if found:
             spin += 360.0 * np.round((found[-1][1] - spin) / 360.0)
         found.append((float(tilt), float(spin)))
     return found
@@ -115,14 +112,13 @@ POINTS = 6
 _HARMONICS = 6
 
 
-def two_axes(*, latitude: float = LATITUDE, kind: type[Geometry] = Geometry) -> Geometry:
+def two_axes(kind: type[Geometry] = Geometry) -> Geometry:
     """Outer axis along East, inner one along the body's z, which points up at zero."""
-    return table(EAST, UP, latitude=latitude, kind=kind)
+    return table(EAST, UP, kind=kind)
 
 
-def table(*axes, latitude: float = LATITUDE, mountings=None, kind: type[Geometry] = Geometry) -> Geometry:
-    hung = np.eye(3)[None] if mountings is None else np.asarray(mountings, float)
-    return kind(np.array(axes, float), np.eye(3), hung, np.asarray(latitude), np.asarray(G))
+def table(*axes, kind: type[Geometry] = Geometry) -> Geometry:
+    return kind(np.array(axes, float), np.eye(3), np.eye(3)[None], np.asarray(LATITUDE), np.asarray(G))
 
 
 def motion_of(
@@ -172,17 +168,15 @@ def gyro(
     rate_basis=CONSTANT,
 ) -> Channel:
     """A gyro with the given `terms`; flat priors but for `std` by symbol (`b`, `s`, `m`, `g`)."""
-    prior, own = {"b": np.inf, "s": np.inf, "m": np.inf, "g": np.inf} | (std or {}), terms.split()
-    chosen: list[model.Term] = []
-    if "b" in own:
-        chosen.append(make_map(basis, numbered=True, prior_std=prior["b"]))
-    if "s" in own:
-        named: dict[str, Any] = {"name": SCALE_FACTOR, "symbol": "b", "unit": "1", "signals": (f"rate {AXES[axis]}",)}
-        chosen.append(make_map(basis, rate_basis, prior_std=prior["s"], **named))
-    if "m" in own:
-        chosen += [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis]
-    if "g" in own:
-        chosen += [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES]
+    prior, others = dict.fromkeys("bsmg", np.inf) | (std or {}), [o for o in AXES if o != AXES[axis]]
+    named: dict[str, Any] = {"name": SCALE_FACTOR, "symbol": "b", "unit": "1", "signals": (f"rate {AXES[axis]}",)}
+    of = {
+        "b": [make_map(basis, numbered=True, prior_std=prior["b"])],
+        "s": [make_map(basis, rate_basis, prior_std=prior["s"], **named)],
+        "m": [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for o in others],
+        "g": [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES],
+    }
+    chosen = [term for symbol in terms.split() for term in of[symbol]]
     processes = _drifts(drift)
     for sigma, tau in instability:
         processes += model.gauss_markov(sigma, tau, bias_gain=0.0, rate_gain=1.0)
@@ -199,19 +193,15 @@ def accelerometer(
     basis=CONSTANT,
 ) -> Channel:
     """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`."""
-    prior = dict.fromkeys(("b", "s", "m", "k2"), np.inf) | (std or {})
-    own, along = terms.split(), f"force {AXES[axis]}"
-    chosen: list[model.Term] = []
-    if "b" in own:
-        chosen.append(_signal("b", (), "m/s^2", prior["b"], basis))
-    if "s" in own:
-        chosen.append(_signal("s", (along,), "1", prior["s"], basis))
-    if "m" in own:
-        chosen += [
-            _signal(f"m_{o}", (f"force {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis
-        ]
-    if "k2" in own:
-        chosen.append(_signal("k2", (along, along), "1/(m/s^2)", prior["k2"]))
+    prior, others = dict.fromkeys(("b", "s", "m", "k2"), np.inf) | (std or {}), [o for o in AXES if o != AXES[axis]]
+    along = f"force {AXES[axis]}"
+    of = {
+        "b": [_signal("b", (), "m/s^2", prior["b"], basis)],
+        "s": [_signal("s", (along,), "1", prior["s"], basis)],
+        "m": [_signal(f"m_{o}", (f"force {o}",), "rad", prior["m"], basis) for o in others],
+        "k2": [_signal("k2", (along, along), "1/(m/s^2)", prior["k2"])],
+    }
+    chosen = [term for symbol in terms.split() for term in of[symbol]]
     return Channel(tuple(chosen), np.asarray(white), _drifts(drift), "accelerometer", axis)
 
 

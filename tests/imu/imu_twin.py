@@ -1,13 +1,12 @@
 """A unit on a real table, simulated from physics, for proofs of the estimate: shares no code and no column with it.
 
-Attitude is a product of quaternions with the base, the axes, the encoders and the mounting finitely off; every sample
+Attitude is a product of rotations with the base, the axes, the encoders and the mounting finitely off; every sample
 is the mean of what the channel says within its interval (three Gauss–Legendre points). What a channel says is written
 out from the names of the calibration's coefficients, as the projection on its own axis and then what the sensor makes
 of it. Accelerometers sit off the axes and feel it.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -16,30 +15,6 @@ from scipy.spatial.transform import Rotation
 OMEGA = 7.292115e-5
 _X, _W = np.polynomial.legendre.leggauss(3)
 _X, _W = 0.5 * (_X + 1.0), 0.5 * _W
-
-
-def quaternion(axis, angle) -> np.ndarray:
-    """`(…, 4)`, scalar first, of rotations by `angle` about a unit vector."""
-    half = 0.5 * np.asarray(angle, float)[..., None]
-    return np.concatenate([np.cos(half), np.sin(half) * np.asarray(axis, float)], axis=-1)
-
-
-def of_vector(vector) -> np.ndarray:
-    return Rotation.from_rotvec(vector).as_quat(scalar_first=True)
-
-
-def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Product of quaternions."""
-    a, u, b, v = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    scalar = a * b - np.sum(u * v, axis=-1, keepdims=True)
-    return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=-1)
-
-
-def into_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """`q* v q`: components in the body of a vector of the outer frame."""
-    u = -q[..., 1:]
-    t = 2.0 * np.cross(u, vector)
-    return vector + q[..., :1] * t + np.cross(u, t)
 
 
 @dataclass(frozen=True)
@@ -85,7 +60,6 @@ class Recorded:
     temperature: np.ndarray
     angles: np.ndarray
     standing: np.ndarray
-    extra: dict[str, Any] = field(default_factory=dict)
 
 
 def commanded(legs: list[Leg], start, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -169,26 +143,20 @@ def record(
         extra, slope = _slow(draws[l], legs, l, leg_of, angles[:, l], rates[:, l], start)
         true[:, l] += extra
         pace[:, l] += slope
-    attitude = of_vector([truth.get(k, 0.0) for k in ("tilt_east", "tilt_north", "azimuth")])
-    attitude = np.broadcast_to(attitude, (len(nodes), 4))
-    stage, outward = attitude, []
+    of_vector = Rotation.from_rotvec
+    stage, outward = of_vector([truth.get(k, 0.0) for k in ("tilt_east", "tilt_north", "azimuth")]), []
     for l, axis in enumerate(bench.axes):
         outward.append(stage)
-        stage = times(stage, quaternion(axis, true[:, l]))
+        stage = stage * of_vector(true[:, l, None] * axis)
         if l + 1 < len(bench.axes) and names:
             delta = truth.get(f"orthogonality_{names[l]}_{names[l + 1]}", 0.0)
-            stage = times(stage, of_vector(delta * np.cross(bench.axes[l + 1], axis)))
-    stage = times(stage, Rotation.from_matrix(bench.mounting).as_quat(scalar_first=True))
-    stage = times(stage, of_vector([truth.get(f"mounting{number}_{a}", 0.0) for a in "xyz"]))
-    earth = OMEGA * np.array([0.0, np.cos(bench.latitude), np.sin(bench.latitude)])
-    omega = into_body(stage, np.broadcast_to(earth, (len(nodes), 3)))
+            stage = stage * of_vector(delta * np.cross(bench.axes[l + 1], axis))
+    stage = stage * Rotation.from_matrix(bench.mounting)
+    into_body = (stage * of_vector([truth.get(f"mounting{number}_{a}", 0.0) for a in "xyz"])).inv()
+    omega = into_body.apply(OMEGA * np.array([0.0, np.cos(bench.latitude), np.sin(bench.latitude)]))
     for l, axis in enumerate(bench.axes):
-        there = into_body(
-            outward[l] * [1.0, -1.0, -1.0, -1.0], np.broadcast_to(axis, (len(nodes), 3))
-        )  # in East-North-Up
-        omega = omega + into_body(stage, there) * pace[:, l : l + 1]
-    gravity = np.array([0.0, 0.0, bench.gravity + truth.get("gravity", 0.0)])
-    force = into_body(stage, np.broadcast_to(gravity, (len(nodes), 3)))
+        omega = omega + (into_body * outward[l]).apply(axis) * pace[:, l : l + 1]
+    force = into_body.apply([0.0, 0.0, bench.gravity + truth.get("gravity", 0.0)])
     lever = np.array(bench.lever)
     force = force + np.cross(omega, np.cross(omega, lever)) + np.cross(np.gradient(omega, nodes, axis=0), lever)
     warm = (temperature_of(nodes) - bench.centre) / bench.scale

@@ -1,4 +1,4 @@
-"""A unit held and turned by hand, calibrated by gravity alone: against a twin of quaternions.
+"""A unit held and turned by hand, calibrated by gravity alone: against a twin of rotations.
 
 The twin draws positions and turns of its own, and writes what each sensor says from the file's coefficients.
 """
@@ -9,6 +9,7 @@ import imu_twin
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from gradcal_jax.calibration.correction import apply
 from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand
@@ -19,7 +20,6 @@ LATITUDE = np.radians(45.0)
 EARTH = imu_twin.OMEGA * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
 AT = {"temperature_c": 23.0}
 HZ = 50.0
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 WHITE = {"gyro": 0.15 / 60.0 * np.pi / 180.0, "accelerometer": 0.05 / 60.0}  # rad/√s, m/s/√s
 
 
@@ -56,12 +56,15 @@ def said(truth: dict[str, float], kind: str, omega: np.ndarray, f: np.ndarray) -
     return out
 
 
-def path(x, attitude, axis, angle, swing, amount) -> np.ndarray:
+def path(x, attitude, change, swing, amount) -> Rotation:
     """Attitudes at shares of a move's duration: a turn that begins and ends smoothly, and a swing there and back."""
     smooth = x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
-    turned = imu_twin.times(np.broadcast_to(attitude, (len(x), 4)), imu_twin.quaternion(axis, angle * smooth))
     there_and_back = amount * np.sin(np.pi * np.clip(x, 0.0, 1.0)) ** 4
-    return imu_twin.times(turned, imu_twin.quaternion(swing, there_and_back))
+    return (
+        attitude
+        * Rotation.from_rotvec(smooth[:, None] * change)
+        * Rotation.from_rotvec(there_and_back[:, None] * swing)
+    )
 
 
 def held(
@@ -71,23 +74,14 @@ def held(
     """A recording: `count` standstills in directions all round (or that `only` gives), each reached by two turns at
     once that begin and end smoothly; the hand's shaking goes to the forces.
     """
-    attitude, rates, forces, standing = np.array([1.0, 0.0, 0.0, 0.0]), [], [], []
+    attitude, rates, forces, standing = Rotation.identity(), [], [], []
     sub = 4
     dt = 1.0 / HZ / sub
     for k in range(count):
         for moving in (True, False) if k else (False,):
             if moving:
                 lasting = rng.uniform(1.5, 3.0)
-                if only is None:
-                    to = rng.standard_normal(4)
-                    to /= np.linalg.norm(to)
-                else:
-                    to = only(k, rng)
-                change = imu_twin.times(attitude * CONJUGATE, to)
-                angle = 2.0 * np.arctan2(np.linalg.norm(change[1:]), change[0])
-                axis = change[1:] / max(np.linalg.norm(change[1:]), 1e-12)
-                if angle > np.pi:
-                    angle, axis = 2.0 * np.pi - angle, -axis
+                to = Rotation.from_quat(rng.standard_normal(4), scalar_first=True) if only is None else only(k, rng)
                 # On the way the hand also swings about another axis, there and back.
                 swing, amount = rng.standard_normal(3), rng.uniform(0.2, 0.8)
                 swing /= np.linalg.norm(swing)
@@ -97,20 +91,18 @@ def held(
             t = (np.arange(rows * sub) + 0.5) * dt
             if moving:
                 x, h = t / (rows / HZ), 1e-4
-                move = attitude, axis, angle, swing, amount
+                move = attitude, (attitude.inv() * to).as_rotvec(), swing, amount
                 q = path(x, *move)
                 # Rates by differences over the path itself.
                 step = h / (rows / HZ)
-                apart = imu_twin.times(path(x - step, *move) * CONJUGATE, path(x + step, *move))
-                omega = 2.0 * apart[:, 1:] / apart[:, :1] / (2.0 * h)
-                force = imu_twin.into_body(q, np.broadcast_to([0.0, 0.0, G], (len(t), 3)))
+                omega = (path(x - step, *move).inv() * path(x + step, *move)).as_rotvec() / (2.0 * h)
+                force = q.apply([0.0, 0.0, G], inverse=True)
                 force = force + 0.3 * G * np.sin(np.pi * x)[:, None] * rng.standard_normal(3)
-                attitude = to * np.sign(imu_twin.times(attitude * CONJUGATE, to)[0] or 1.0)
+                attitude = to
             else:
-                q = np.broadcast_to(attitude, (len(t), 4))
-                omega = np.zeros((len(t), 3))
-                force = imu_twin.into_body(q, np.broadcast_to([0.0, 0.0, G], (len(t), 3)))
-            omega = omega + imu_twin.into_body(q, np.broadcast_to(earth, (len(t), 3)))
+                q, omega = attitude, np.zeros((len(t), 3))
+                force = np.tile(q.apply([0.0, 0.0, G], inverse=True), (len(t), 1))
+            omega = omega + q.apply(earth, inverse=True)
             rates.append(omega.reshape(rows, sub, 3).mean(axis=1))
             forces.append(force.reshape(rows, sub, 3).mean(axis=1))
             # A hand that sets down still touches for a moment: the first and the last tenth of a second do not count.
@@ -187,22 +179,15 @@ def test_without_noise_the_estimate_is_the_truth():
         assert abs(found[name] - value) < allowed, (name, found[name], value)
 
 
-def about_x(k: int, rng: np.random.Generator) -> np.ndarray:
+def about_x(k: int, rng: np.random.Generator) -> Rotation:
     """Positions in one plane: rolled about x alone."""
-    return imu_twin.quaternion(np.array([1.0, 0.0, 0.0]), rng.uniform(-3.0, 3.0))
+    return Rotation.from_rotvec([rng.uniform(-3.0, 3.0), 0.0, 0.0])
 
 
-def faces(k: int, rng: np.random.Generator) -> np.ndarray:
+def faces(k: int, rng: np.random.Generator) -> Rotation:
     """Six faces up, again and again."""
-    axis, angle = [
-        ((1, 0, 0), 0.0),
-        ((1, 0, 0), 90),
-        ((1, 0, 0), 180),
-        ((1, 0, 0), 270),
-        ((0, 1, 0), 90),
-        ((0, 1, 0), 270),
-    ][k % 6]
-    return imu_twin.quaternion(np.array(axis, float), np.radians(angle))
+    turns = [(0, 0, 0), (90, 0, 0), (180, 0, 0), (270, 0, 0), (0, 90, 0), (0, 270, 0)]
+    return Rotation.from_rotvec(turns[k % 6], degrees=True)
 
 
 def test_positions_in_one_plane_are_said_to_be():

@@ -50,7 +50,7 @@ def write(name: str, folder: Path, *, warm: bool) -> tuple[Path, str]:
 def figures(path: Path, columns: str) -> dict[str, Any]:
     """What `allan` and `instability` give for a record."""
     log = import_log(path, parse_column_map(columns))
-    result = instability(at_rest(log, 0, lag="none"))
+    result = instability(at_rest(log, 0, lag=False))
     fit = result.allan_fit
     coefficients = fit.quantisation, fit.angle_random_walk, fit.bias_instability, fit.rate_random_walk
     return {

@@ -84,4 +84,4 @@ def recording(
     _, true = motion.at(offset_s + rate * time_s)
     drift = 1e-5 * np.cumsum(random.standard_normal(count)) / 10.0
     noise = walk / 60.0 * 10.0 * random.standard_normal(count)
-    return Recorded(time_s, 1.0005 * rate * true + 0.02 + drift + noise, offset_s, rate)
+    return Recorded(time_s, (1.0005 * rate * true + 0.02 + drift + noise)[:, None], offset_s, rate)

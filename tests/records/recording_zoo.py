@@ -125,7 +125,7 @@ def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.nd
 shuffled("a twentieth lost", rng.random(ROWS) > 0.05)
 shuffled("a fifth lost", rng.random(ROWS) > 0.2)
 shuffled("one long gap", (K < 5000) | (K > 6000))
-shuffled("every hundredth lost", K % 100 != 0)
+shuffled("every hundredth lost", K % 100 != 0, "sample_rate")
 
 
 @kind
@@ -245,7 +245,8 @@ lines("an id, and not whose", "t,id,gx", lambda k, v: f"{k / HZ:.4f},1,{v:.6f}\n
       "", "several sensors")  # fmt: skip
 lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},gyr,{v:.6f}\n{k / HZ:.4f},acc,9.8",
       'where = { column = "sensor", equals = "gyr" }\n')  # fmt: skip
-lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
+lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8", "",
+      "interpolate = true")  # fmt: skip
 lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
       'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
 lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "the unit rad/s",
@@ -381,9 +382,9 @@ lines("an axis a row", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / H
 lines("an axis a row, and not which", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / HZ:.2f},y,{1 - v:.6f}",
       "", "several sensors", base=HEAD + TIME + 'rate.x = { column = "v", unit = "deg/s" }\n')  # fmt: skip
 
-shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel())
-shuffled("tens of rows from the last", K.reshape(-1, 10)[:, ::-1].ravel())
-shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)))
+shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel(), "Sort the rows")
+shuffled("tens of rows from the last", K.reshape(-1, 10)[:, ::-1].ravel(), "Sort the rows")
+shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)), "Sort the rows")
 shuffled("two clocks in turns", K, "two alternating clocks", 1000.0 * (K % 2))
 shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 * (K > 3000))
 shuffled("daylight saving ends", K, "steps back", -3600.0 * (K > 7000))

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from motion_and_recording import Motion, Recorded, readings, recording, turns
 
-import gradcal_jax as gj
 from gradcal_jax.records.alignment import Alignment, AngleTrack, NoAlignment, align
-from gradcal_jax.records.run_log import _about_innermost
 
 UNKNOWN = "from another run|agrees with the run at more than one start time"
 
@@ -61,7 +59,7 @@ def test_another_run_or_another_axis_is_refused():
     with pytest.raises(NoAlignment, match=UNKNOWN):
         align(other.time_s, other.rate_dps, track)
     unit = recording(random, motion, begins_s=-50.0, ends_s=end, ppm=-50.0)
-    still = 0.3 * random.standard_normal(len(unit.time_s))
+    still = 0.3 * random.standard_normal((len(unit.time_s), 1))
     with pytest.raises(NoAlignment, match="another axis"):
         align(unit.time_s, still, track)
     # An axis that lies askew senses some of the turns.
@@ -109,9 +107,8 @@ def test_readings_at_rest_alone_do_not_tell_the_clock():
         align(unit.time_s, unit.rate_dps, AngleTrack(track.time_s[rests], track.angle_deg[rests]))
 
 
-def test_of_several_axes_the_innermost_is_sensed_by_the_mounting():
-    rates = dict(zip("xyz", np.random.default_rng(0).standard_normal((3, 101)), strict=True))
-    two, one = (gj.parse_spec(gj.presets.text(f"{name}-axis-table")).rig.table for name in ("two", "one"))
-    np.testing.assert_allclose(_about_innermost(two, rates), rates["z"] - np.median(rates["z"]), atol=1e-12)
-    with pytest.raises(NoAlignment, match="a run of each mounting"):
-        _about_innermost(one, rates)
+def test_the_direction_of_the_axis_in_a_unit_is_found():
+    random, motion, track = run_and_unit(9)
+    unit = recording(random, motion, begins_s=-50.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
+    rates = unit.rate_dps * np.array([0.6, -0.48, 0.64]) + 0.01 * random.standard_normal((len(unit.time_s), 3))
+    assert np.abs(errors(align(unit.time_s, rates, track), unit)).max() < 4.0

@@ -95,8 +95,8 @@ def test_other_files_get_a_sentence(tmp_path):
 )
 def test_a_log_refuses_what_does_not_fit(change, sentence):
     sound = {"time_s": np.arange(3.0), "rate_rad_per_s": np.zeros((1, 3, 1)), "units": ("a",), "axes": ("x",)}
-    with pytest.raises(LogError, match="no axis 'X' in this log; nearest: 'x'"):
-        Log(**sound).axis_index("X")
+    with pytest.raises(LogError, match="no gyro X in this log; nearest: 'gyro x'"):
+        Log(**sound).channel("gyro X")
     with pytest.raises(LogError, match=sentence):
         Log(**{**sound, **change})
 
@@ -105,7 +105,7 @@ def test_even_grid_marks_each_gap_with_one_invalid_point():
     status = (np.arange(10) < 1).astype(np.uint16)[None]
     log = Log(np.arange(10) * 0.5, np.arange(10.0)[None, :, None], ("a",), ("x",), status=status)
     log = replace(log, time_s=log.time_s + 1000.0 * (np.arange(10) > 5), stretch_starts=np.array([0, 6]))
-    even = log.even("x")
+    even = log.even("gyro x")
     assert even.sample_interval_s == 0.5
     assert even.valid.tolist() == [False] + [True] * 5 + [False] + [True] * 4
     assert even.row.tolist() == [0, 1, 2, 3, 4, 5, -1, 6, 7, 8, 9]

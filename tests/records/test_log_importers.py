@@ -185,7 +185,6 @@ def test_specific_forces_are_read_masked_and_judged(tmp_path):
         (HEAD + 'time = { column = "t", unit = "ms" }', "name at least one axis"),
         (PLAIN + "[csv]\ndelimiter = 'abc'", "csv.delimiter"),
         (PLAIN + '[csv]\ndecimal = ","\n', "another delimiter"),
-        (PLAIN + '[csv]\nencoding = "utf-99"\n', "encoding"),
         (PLAIN.replace('unit = "deg/s"', 'unit = "deg/s", scale = 0.0'), "must not be zero"),
     ],
 )

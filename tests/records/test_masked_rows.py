@@ -83,16 +83,21 @@ GX = 'rate.x = { column = "gx", unit = "deg/s" }\n'
     ("ahead_s", "kind", "firsts"),
     [
         (4294.967296, "damaged", (500, 2000, 2100, 5000)),
-        (30.0, "damaged", (500, 2000, 2100, 5000)),
+        (31.0, "damaged", (500, 2000, 2100, 5000)),
+        (-30.0, "unordered", (1000, 2000)),
         # Here the damaged rows are more than the sound ones beyond them.
-        (-30.0, "unordered", (3, 2000)),
-        (30.0, "damaged", (2000, ROWS - 22)),
+        (-30.0, None, (3, 2000)),
+        (30.0, None, (2000, ROWS - 22)),
     ],
 )
 def test_damaged_stamps_cost_their_own_rows(tmp_path, ahead_s, kind, firsts):
     damaged = np.arange(ROWS) / 100.0
     for first in firsts:
         damaged[first : first + 20] += ahead_s
+    if kind is None:
+        with pytest.raises(LogError, match="far from those about them"):
+            imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
+        return
     log = imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
     assert log.rows_removed == {f"{kind} stamp": 20 * len(firsts)}
     (finding,) = (one for one in log.findings if one.kind == f"{kind} stamp")

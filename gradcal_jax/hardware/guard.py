@@ -5,8 +5,8 @@ delays no other.
 
 The guard reads the rig file and the drivers before anything moves, and sends "ready". The run sends "begun" before its
 first command, "before" with every setting of a device before the first change, "alive" every second, and "done" when it
-has ended with everything verified safe, or before it commanded anything. A guard that died is replaced, which is an
-event of the run's journal.
+has ended with everything verified safe, or before it commanded anything. The guard replies "alive"; one that died or no
+longer replies is replaced, which is an event of the run's journal.
 
 When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a
 device. When the pipe stays open and silent, the run hangs: the guard ends it. Then it opens the ports, makes every
@@ -129,23 +129,30 @@ class Guard:
         self._say("done")
 
     def beat(self) -> str:
-        """Send "alive". Returns a sentence where the guard had died and was replaced."""
+        """Send "alive". Returns a sentence where the guard had died, or no longer replied, and was replaced."""
+        now_s, why = time.monotonic(), "had died"
         if self.process.poll() is None:
-            self._say("alive")
-        elif time.monotonic() >= self._next_start_s:
-            self._next_start_s = time.monotonic() + _LONGEST_PAUSE_S
-            self._input.close()
-            self._start()
-            return "the guard had died; another guard has replaced it"
-        return ""
+            if self._replied():
+                self._heard_s = now_s
+            if now_s < self._heard_s + _SILENT_S:
+                self._say("alive")
+                return ""
+            why = f"had not replied for {_SILENT_S:g} s"
+        if now_s < self._next_start_s:
+            return ""
+        self._next_start_s = now_s + _LONGEST_PAUSE_S
+        self.process.kill()
+        self._release()
+        self._start()
+        return f"the guard {why}; another guard has replaced it"
 
     def close(self) -> None:
         """The run ends here; the guard begins now if it has to act. One that died since the last beat is replaced."""
-        self._input.close()
+        self._release()
         if self._said and self.process.poll() is not None:
             with suppress(HardwareError):
                 self._start()
-            self._input.close()
+            self._release()
         # A guard that acts has no time limit; the run's exit status is reported at once.
         threading.Thread(target=self.process.wait, daemon=True, name="leaving it to the guard").start()
 
@@ -161,21 +168,33 @@ class Guard:
         )
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self._input = self.process.stdin
-        with self.process.stdout as output:
-            ready = output.read(1)
-        if not ready:
-            self._input.close()
+        self._input, self._output = self.process.stdin, self.process.stdout
+        if not self._output.read(1):
+            self._release()
             self.process.wait()
             raise HardwareError(
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
                 "the guard's message above."
             )
-        # A guard that does not listen delays no run. Windows has this from Python 3.12 on.
-        with suppress(AttributeError):
-            os.set_blocking(self._input.fileno(), False)
+        # A guard that hangs delays no run. Windows has this from Python 3.12 on.
+        for pipe in (self._input, self._output):
+            with suppress(AttributeError):
+                os.set_blocking(pipe.fileno(), False)
+        self._heard_s = time.monotonic()
         for line in self._said:
             self._say(line)
+        self._say("alive")
+
+    def _release(self) -> None:
+        """Close the pipes: a guard that listens learns that the run ends here."""
+        self._input.close()
+        self._output.close()
+
+    def _replied(self) -> bool:
+        """Whether the guard has replied since the last call; always where reading would wait for a reply."""
+        if not hasattr(os, "set_blocking"):
+            return True
+        return bool(self._output.read(4096))
 
     def _say(self, line: str) -> None:
         with suppress(OSError, ValueError):
@@ -213,6 +232,9 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             begun = True
         elif line == b"done\n":
             begun, before = False, {}
+        elif line == b"alive\n":
+            with suppress(OSError):
+                os.write(1, line)
         elif line.startswith(b"before ") and line.endswith(b"\n"):
             device, name, value = json.loads(line.removeprefix(b"before "))
             before.setdefault(device, {}).setdefault(name, value)

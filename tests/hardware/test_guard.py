@@ -211,6 +211,26 @@ def test_a_guard_that_died_since_the_last_beat_is_replaced_at_the_end(tmp_path: 
     assert made_safe(tmp_path / "journal") == SAFE
 
 
+def test_a_guard_that_hangs_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is stopped, as by a debugger, and would keep no killed run's rig safe."""
+    monkeypatch.setattr(guard, "_SILENT_S", 2.0)
+    with Rig(RealClock(), on_terminals=True) as rig:
+        left_turning(rig, tmp_path, RealClock())
+        watched, said = guard.Guard(tmp_path), list[str]()
+        for _ in range(30):
+            said.append(watched.beat())
+            time.sleep(0.1)
+        first = watched.process
+        assert not any(said)
+        os.kill(first.pid, signal.SIGSTOP)
+        assert soon(lambda: said.append(watched.beat()) or any(said))
+        assert "had not replied for 2 s" in "".join(said)
+        assert first.wait(timeout=10.0) == -signal.SIGKILL
+        assert watched.process.poll() is None
+        watched.close()
+        assert watched.process.wait(timeout=60.0) == 0
+
+
 @pytest.mark.long
 def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
     """The process is stopped, as by a debugger or a disk that never answers: it holds its ports and says nothing."""

@@ -107,7 +107,8 @@ def estimated(
     readings, found = fit.readings, fit.solution
     steps, _ = readings.linear(found.parameters)
     used = np.asarray(steps.used)
-    apart = np.where(segments_of(readings.done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)
+    apart = readings.observed - readings.expected(found.parameters)
+    apart = np.where(segments_of(readings.done.motion, model).used, apart, 0.0)
     prior = model.prior_rows()
     chi_squared = float(np.sum(np.asarray(whiten(steps, apart[:, None]))[used] ** 2))
     chi_squared += float(np.sum((prior @ found.parameters) ** 2))

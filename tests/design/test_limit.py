@@ -8,7 +8,7 @@ import copy
 
 import numpy as np
 import pytest
-from random_plans import KINDS, SCALE, plan_of
+from random_plans import SCALE, plan_of
 
 from gradcal_jax.design.noise_floor import least_noise_density
 from gradcal_jax.design.plan_limit import limit

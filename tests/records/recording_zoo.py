@@ -348,6 +348,9 @@ lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "
 lines("row numbers without a name", "t,gx", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "", "more fields than")
 lines("unquoted thousands", "t,gx", lambda k, v: f"{k / HZ:.2f},{1000 + v / 5e-4:,.0f}", "", "more fields than",
       base=COUNTS)  # fmt: skip
+lines("thousands in quotes", "t,gx", lambda k, v: f'{k / HZ:.2f},"{1000 + v / 5e-4:,.0f}"', "", "thousands separator",
+      base=COUNTS)  # fmt: skip
+lines("a remark with fewer names", "# t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f},7")
 lines("decimal commas between commas", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}".replace(".", ","), "",
       "more fields than")  # fmt: skip
 lines("a comma at the end", "t,gx,", lambda k, v: f"{k / HZ:.2f},{v:.6f},")

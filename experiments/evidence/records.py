@@ -20,7 +20,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "records"))
 
-from recording_zoo import ZOO, Recorded  # noqa: E402
+from recording_zoo import ZOO, N, Recorded  # noqa: E402
 from test_recording_zoo import WITHIN, looked_at  # noqa: E402
 
 OUTCOMES = ("right", "right, with a note", "flagged", "asked", "silently wrong")
@@ -41,7 +41,7 @@ def judged(record: Recorded) -> tuple[str, list[str]]:
                 function = f"{Path(path).stem}.{name.strip('_')}"
             trace = trace.tb_next
         return "asked", [function]
-    right = abs(walk - record.walk) < WITHIN * error and error < 0.2 * walk
+    right = abs(walk - N) < WITHIN * error and error < 0.2 * walk
     rules = list(dict.fromkeys(rule_of(one) for one in said))
     if right:
         return ("right, with a note" if said else "right"), rules

@@ -105,6 +105,8 @@ WRONG = {
     "a folder": (SPEC, GOOD, "check folder.toml", "is a directory"),
     "semicolons": (CSV, ROWS.replace(",", ";"), NOISE, 'delimiter = ";"'),
     "nothing but nan": (CSV, "t,gx\n" + "".join(f"{k},nan\n" for k in range(500)), NOISE, "of 500 rows none is usable"),
+    "words in a table": (CSV, ROWS.replace(",0.0100", ",none", 3), NOISE, "3 missing rate"),
+    "a short table": (CSV, ROWS, NOISE, "use a shorter average, or a longer record"),
     "a spec for a calibration": (SPEC, GOOD, "export given.toml --format csv", 'expected "gradcal-calibration/3"'),
     "a file that exists": (SPEC, GOOD, "start tactical-mems -o given.toml", "overwrite it with --force"),
     "a folder that does not exist": (SPEC, GOOD, "start tactical-mems -o no/where.toml", "make it first"),

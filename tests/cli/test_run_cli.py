@@ -84,7 +84,7 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         # The chamber's driver on the table's port: what was sent and what came back.
         wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
         wrong = wrong.replace('"X"', f'"{lab.ports[1].url}"')
-        quick = wrong.replace("[chamber.options]\n", '[chamber.options]\nreply_timeout = "0.3 s"\n')
+        quick = wrong.replace("options = {", 'options = { reply_timeout = "0.3 s",', 1)
         assert quick != wrong
         path.write_text(quick, encoding="utf-8")
         assert main(["rig", "check", str(path), "--json"]) == 3

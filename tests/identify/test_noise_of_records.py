@@ -54,14 +54,3 @@ def test_the_rate_of_the_status_scales_the_angle_random_walk(tmp_path):
     assert walk.value * DEG_PER_SQRT_H == pytest.approx(0.17, abs=4.0 * walk.standard_error * DEG_PER_SQRT_H)
     assert 'angle_random_walk = "0.1' in instability(rest).drift_block()
     assert any("every 400th sample" in words for words in rest.messages)
-
-
-@pytest.mark.long
-def test_a_calibration_of_rows_far_apart_states_no_noise_but_that_of_the_sensor(tmp_path, capsys):
-    for hz, words in ((None, "states no noise"), (400.0, "")):
-        folder = tmp_path / str(hz)
-        folder.mkdir()
-        assert main(["estimate", str(thinned(folder, hz=hz)), "-o", str(folder / "c.toml")]) in (0, 1)
-        assert words in capsys.readouterr().out
-        text = (folder / "c.toml").read_text(encoding="utf-8")
-        assert ("[noise]" in text) == (hz is not None)

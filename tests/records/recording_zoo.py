@@ -303,6 +303,8 @@ lines("a row of units in brackets", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", 
 lines("whole numbers", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "are they counts")
 lines("row numbers without a name", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "more fields than")
 lines("unquoted thousands", "{t:.2f},{n:,}", "more fields than", COUNTS)
+lines("thousands in quotes", '{t:.2f},"{n:,}"', "thousands separator", COUNTS)
+lines("a remark with fewer names", ROW + ",7", header="# t,gx")
 lines("decimal commas between commas", ROW, "more fields than", swap=COMMAS)
 lines("a comma at the end", ROW + ",", header="t,gx,")
 lines("words of a C library", odd=(90, 7, "{t:.2f},-nan(ind)"))

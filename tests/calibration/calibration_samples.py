@@ -108,10 +108,8 @@ def readings(truth: dict[str, float], count: int = 400) -> tuple[Log, np.ndarray
     force = rng.uniform(-G, G, (count, 3))
     temperature = rng.uniform(-29.0, 69.0, count)
     warm = (temperature - 20.0) / 50.0
-    said = np.stack(
-        [imu_twin.said_by(truth, "gyro", a, rate, force, warm, np.radians(300.0)) for a in range(3)], axis=1
-    )
-    felt = np.stack([imu_twin.said_by(truth, "accelerometer", a, force, force, warm, 1.0) for a in range(3)], axis=1)
+    said = imu_twin.said_by(truth, "gyro", rate, force, warm, np.radians(300.0))
+    felt = imu_twin.said_by(truth, "accelerometer", force, force, warm)
     log = Log(
         np.arange(count) * 0.01, said[None], ("SN 1",), tuple("xyz"), temperature[None],
         specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"),

@@ -335,6 +335,14 @@ def test_a_step_that_was_not_executed_as_written_is_made_again(
     was_executed(tmp_path)
 
 
+def test_a_late_reading_that_no_recipe_takes_repeats_no_step(tmp_path: Path) -> None:
+    """A host or a device that is late by seconds in a soak of hours: nothing of the step is missing."""
+    with running(tmp_path, Track((TrackStep("soak", 60.0, data=False),))) as (_, runner):
+        acting(runner, (at(runner, 30.0), lambda: runner.clock.sleep(2.5)))
+        assert runner.run().exit_status == "success"
+    assert not events(tmp_path, "not done")
+
+
 def freezes(rig: Rig) -> None:
     """The unit repeats the rates and forces of one sample: a sensor that hangs behind its interface."""
     take, held = rig.sensor.take, []

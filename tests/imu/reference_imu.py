@@ -392,7 +392,7 @@ class Simulator:
         columns = self.columns()
         stds = np.array([self.prior_of(name) for name in columns])
         prior = np.diag(1.0 / stds)
-        found, _ = dense_gls(np.array(list(columns.values())).T, self.covariance(), prior)
+        found = dense_gls(np.array(list(columns.values())).T, self.covariance(), prior)
         return dict(zip(columns, found, strict=True))
 
     def prior_of(self, name: str) -> float:

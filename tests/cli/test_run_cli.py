@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -111,29 +113,39 @@ def test_slips_are_sentences(words, said, tmp_path, capsys, monkeypatch):
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("on_a_terminal", [False, True])
-def test_ctrl_c_makes_safe_and_ends(tmp_path, on_a_terminal):
-    recipe, run = a_recipe(tmp_path), tmp_path / "run"
+@contextmanager
+def on_terminal(recipe: Path, run: Path, *more: str, **streams: int) -> Iterator[tuple[subprocess.Popen, int]]:
+    """The command in a process, and the other end of its terminal: each of the `streams` that is 0 is on it."""
     program = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", *more, "-o", str(run)]
+    leader, follower = os.openpty()
+    process = subprocess.Popen(words, **{name: value or follower for name, value in streams.items()}, text=True)
+    os.close(follower)
+    try:
+        yield process, leader
+    finally:
+        process.kill()
+        os.close(leader)
+
+
+def until(run: Path, name: str) -> None:
+    """Waits for an event in the journal."""
+    journal, end = run / "journal", time.monotonic() + 120.0
+    while not (journal.exists() and any(event.name == name for event in read_journal(journal).events)):
+        assert time.monotonic() < end, f"no {name} in the journal"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("stdin", [0, subprocess.DEVNULL])
+def test_ctrl_c_makes_safe_and_ends(tmp_path, stdin):
+    recipe, run = a_recipe(tmp_path), tmp_path / "run"
     # Enough samples to be interrupted in the middle.
     many = ["--units", "8", "--sample-rate", "2000 Hz"]
-    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", *many, "-o", str(run)]
-    master, slave = os.openpty()
-    process = subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=slave if on_a_terminal else subprocess.DEVNULL,
-        text=True,
-    )
-    end = time.monotonic() + 90.0
-    while not ((run / "journal").exists() and b'"step begins"' in (run / "journal").read_bytes()):
-        assert time.monotonic() < end, "the first step never began"
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=90.0)
-    for descriptor in (master, slave):
-        os.close(descriptor)
+    said = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with on_terminal(recipe, run, *many, **said) as (process, _):
+        until(run, "step begins")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=90.0)
     assert process.returncode == 130, err
     assert "chamber: safe" in out
     assert f"gradcal run --resume {run}" in err
@@ -143,27 +155,13 @@ def test_ctrl_c_makes_safe_and_ends(tmp_path, on_a_terminal):
 
 def test_a_terminal_that_was_told_to_stop_stops_no_run(tmp_path):
     recipe, run = a_recipe(tmp_path), tmp_path / "run"
-    master, slave = os.openpty()
-    program = "import sys; from gradcal_jax.cli import main; sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", "-o", str(run)]
-    process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
-    os.close(slave)
-    try:
+    with on_terminal(recipe, run, stdin=0, stdout=0, stderr=0, start_new_session=True) as (process, leader):
         said = b""
         while b"step 1 of" not in said:
-            said += os.read(master, 4096)
-        os.write(master, b"\x13")  # Ctrl-S
-        deadline = time.monotonic() + 120.0
-        ended = False
-        while not ended and time.monotonic() < deadline:
-            time.sleep(0.5)
-            journal = run / "journal"
-            ended = journal.exists() and any(event.name == "end" for event in read_journal(journal).events)
-        assert ended
-        os.write(master, b"\x11")  # Ctrl-Q
+            said += os.read(leader, 4096)
+        os.write(leader, b"\x13")  # Ctrl-S
+        until(run, "end")
+        os.write(leader, b"\x11")  # Ctrl-Q
         while b"write the log" not in said:
-            said += os.read(master, 4096)
+            said += os.read(leader, 4096)
         assert process.wait(timeout=30.0) == 0
-    finally:
-        process.kill()
-        os.close(master)

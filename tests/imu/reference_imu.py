@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 from helpers import dense_gls
 from imu_helpers import AXES, Step, cosine_ramps
+from imu_twin import OMEGA, Course, Leg, angles_of
 
 _X, _W = np.polynomial.legendre.leggauss(16)
 _X, _W = 0.5 * (_X + 1.0), 0.5 * _W
 _STEP = 1e-30
-OMEGA = 7.292115e-5
 
 
 @dataclass(frozen=True)
@@ -86,20 +86,21 @@ class Errors:
     angle: tuple[int, Callable, Callable] | None = None
 
 
+def _leg(step: Step) -> Leg:
+    if step.axis < 0:
+        return Leg(-1, step.duration)
+    _, ramp, duration = cosine_ramps(step.angle, step.peak, step.acceleration)
+    return Leg(step.axis, duration, step.angle, ramp)
+
+
 class Simulator:
     """The readings of a scene's segments, with any error of the installation."""
 
     def __init__(self, scene: Scene):
         self.scene = scene
-        lasting = [s.duration if s.axis < 0 else cosine_ramps(s.angle, s.peak, s.acceleration)[2] for s in scene.steps]
-        self.times = np.concatenate([[0.0], np.cumsum(lasting)])
-        before = [np.array(scene.start, float)]
-        for s in scene.steps:
-            after = before[-1].copy()
-            if s.axis >= 0:
-                after[s.axis] += s.angle
-            before.append(after)
-        self.before = before[:-1]
+        self.legs = [_leg(step) for step in scene.steps]
+        self.times = np.concatenate([[0.0], np.cumsum([leg.duration for leg in self.legs])])
+        self.before = angles_of(self.legs, scene.start)
         self.nodes = [self._nodes(k) for k in range(len(scene.steps))]
 
     @property
@@ -108,30 +109,21 @@ class Simulator:
 
     def _nodes(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Times since the segment began, and weights."""
-        step, whole = self.scene.steps[k], self.times[k + 1] - self.times[k]
-        edges = [0.0, whole]
-        if step.axis >= 0:
-            top, ramp, _ = cosine_ramps(step.angle, step.peak, step.acceleration)
-            edges = [0.0, ramp, whole - ramp, whole] if whole > 2.0 * ramp + 1e-12 else [0.0, ramp, whole]
-            edges = [x for a, b in pairwise(edges) for x in np.linspace(a, b, 2 + int((b - a) * top))[:-1]] + [whole]
+        leg, edges = self.legs[k], [0.0, self.legs[k].duration]
+        if leg.axis >= 0:
+            edges = np.unique([0.0, leg.ramp, max(leg.duration - leg.ramp, leg.ramp), leg.duration])
+            top = abs(leg.angle) / (leg.duration - leg.ramp)
+            edges = [x for a, b in pairwise(edges) for x in np.linspace(a, b, 2 + int((b - a) * top))[:-1]] + [
+                edges[-1]
+            ]
         t = np.concatenate([a + (b - a) * _X for a, b in pairwise(edges)])
         return t, np.concatenate([(b - a) * _W for a, b in pairwise(edges)])
 
     def travel(self, k: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angle turned since a move began, and its rate."""
-        step = self.scene.steps[k]
-        if step.axis < 0:
-            return np.zeros_like(t), np.zeros_like(t)
-        top, ramp, whole = cosine_ramps(step.angle, step.peak, step.acceleration)
-
-        def up(x):
-            return 0.5 * top * (x - ramp / np.pi * np.sin(np.pi * x / ramp))
-
-        angle = np.where(
-            t < ramp, up(t), np.where(t > whole - ramp, abs(step.angle) - up(whole - t), top * (t - 0.5 * ramp))
-        )
-        rate = 0.5 * top * (1.0 - np.cos(np.pi * np.minimum(np.minimum(t, whole - t), ramp) / ramp))
-        return np.sign(step.angle) * angle, np.sign(step.angle) * rate
+        leg = self.legs[k]
+        course = Course([leg], t)
+        return course.share * leg.angle, course.pace * leg.angle
 
     def stages(self, k: int, t: np.ndarray, errors: Errors) -> tuple[np.ndarray, np.ndarray]:
         """Attitude (body to East-North-Up) and the body's rate by the joints alone, at times within a segment."""

@@ -31,7 +31,7 @@ from gradcal_jax.hardware.run_folder import (
     sessions,
 )
 from gradcal_jax.hardware.runner import Runner
-from gradcal_jax.hardware.setup import Bench, configs_of, open_rig
+from gradcal_jax.hardware.setup import Bench, configs_of, open_rig, require_the_same
 from gradcal_jax.hardware.simulate.lab import RATES_HZ, SimulatedLab
 from gradcal_jax.hardware.supervision import RunProgress, RunResult, ended, sound_alarm, status_file
 from gradcal_jax.hardware.transport import Terminal
@@ -159,6 +159,9 @@ def run_session(
         if journal.problem:
             raise HardwareError(journal.problem)
 
+        if known := identities_of(resumed):
+            require_the_same(bench, known)
+
         def changes(device: str, name: str, value: str) -> None:
             if watched is not None:
                 watched.remember(device, name, value)
@@ -182,7 +185,6 @@ def run_session(
             safe_deadline_s=safe_deadline_s,
             first_step=first_step,
             mounting=mounting_of(resumed),
-            known=identities_of(resumed),
         )
         if threading.current_thread() is threading.main_thread():
             stack.enter_context(signals_to(runner))

@@ -17,7 +17,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -60,8 +60,6 @@ class Runner:
     first_step: int = 0
     mounting: int = 0
     """The mounting of the IMUs when the run begins, as `Ask.mounting`; 0: unknown."""
-    known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
-    """The identities of the devices with which a run began that is resumed, by name."""
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
 
@@ -120,9 +118,8 @@ class Runner:
     def _prepare(self, helpers: list[threading.Event]) -> None:
         limits: dict[str, Any] = {}
         for name, entry, device in self.bench.devices():
-            report = report_of(self.bench, name, entry, device, self.known.get(name))
+            report = report_of(self.bench, name, entry, device)
             if report.problem:
-                # A resume compares with the devices of the journal: this one is none of the run's.
                 raise HardwareError(report.problem)
             if report.identity is not None:
                 self._event("identity", **event_fields(report.identity), device=name)

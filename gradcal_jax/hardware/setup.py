@@ -269,14 +269,16 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     return reports
 
 
-def report_of(
-    bench: Bench, name: str, entry: Device, device: Opened, known: Mapping[str, Any] | None = None
-) -> DeviceReport:
-    """What a device says of itself. `known`: the identity of the device with which a run began that is resumed."""
+def report_of(bench: Bench, name: str, entry: Device, device: Opened) -> DeviceReport:
+    """What a device says of itself."""
     identity, limits, faults = None, None, ()
     try:
         identity = device.identify()
-        _require_identity(f"{name} at {entry.port}", entry, identity, known or {})
+        if entry.serial_number is not None and entry.serial_number != identity.serial_number:
+            raise WrongIdentity(
+                f"{name} at {entry.port} has the serial number {identity.serial_number or '(none reported)'}, but the "
+                f"rig file states {entry.serial_number}. Connect the right device or correct the rig file."
+            )
         if isinstance(device, roles.ImuStream):
             limits = device.configure()
         else:
@@ -294,17 +296,14 @@ def report_of(
     return DeviceReport(name, entry.driver, entry.port, identity, limits, problem)
 
 
-def _require_identity(here: str, entry: Device, identity: roles.Identity, known: Mapping[str, Any]) -> None:
-    """Raises `WrongIdentity` where the rig file names another serial number than the device, or where a run that is
-    resumed began with another device."""
-    if entry.serial_number is not None and entry.serial_number != identity.serial_number:
-        raise WrongIdentity(
-            f"{here} has the serial number {identity.serial_number or '(none reported)'}, but the rig file states "
-            f"{entry.serial_number}. Connect the right device or correct the rig file."
-        )
-    of = {key: (value, known.get(key, value)) for key, value in vars(identity).items()}
-    if changed := [f"{key} {now!r}, was {then!r}" for key, (now, then) in of.items() if now != then]:
-        raise WrongIdentity(
-            f"{here} is another device than at the beginning of the run ({'; '.join(changed)}). Connect the device "
-            "that the run began with, or begin a new run."
-        )
+def require_the_same(bench: Bench, known: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raises `WrongIdentity` where a device is not that with which a run began, by its `known` identity: nothing is
+    commanded then, for the other device may be at work for somebody else."""
+    for name, entry, device in bench.devices():
+        before = known.get(name, {})
+        of = {key: (value, before.get(key, value)) for key, value in vars(device.identify()).items()}
+        if changed := [f"{key} {now!r}, was {then!r}" for key, (now, then) in of.items() if now != then]:
+            raise WrongIdentity(
+                f"{name} at {entry.port} is another device than at the beginning of the run ({'; '.join(changed)}). "
+                "Connect the device that the run began with, or begin a new run."
+            )

@@ -101,7 +101,6 @@ WRONG = {
     "no unit": (SPEC, GOOD.replace('"120 s"', "120"), CHECK, 'such as "10 s"'),
     "nan in a spec": (SPEC, GOOD.replace("degree = 3", "degree = nan"), CHECK, "a whole number"),
     "a spec in UTF-16": (SPEC, GOOD.encode("utf-16"), CHECK, "not text in UTF-8"),
-    "no file": (SPEC, GOOD, "check none.toml", "does not exist"),
     "a folder": (SPEC, GOOD, "check folder.toml", "is a directory"),
     "semicolons": (CSV, ROWS.replace(",", ";"), NOISE, 'delimiter = ";"'),
     "nothing but nan": (CSV, "t,gx\n" + "".join(f"{k},nan\n" for k in range(500)), NOISE, "of 500 rows none is usable"),

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,23 +26,23 @@ from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import to_toml
 
-CHANGES = {
-    "plan.temperature": ["23 degC", "24 degC"],
-    "plan.gradient": "2 K/min",
-    "plan.soak": "2 s",
-    "rig.table.axis[0].travel": "360 deg",  # all of which a plan may use
-    "plan.cycle.moves": [
-        {"rest": "3 s", "read_every": "1 s"},
-        {"turn": "360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
-        {"turn": "-360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
-    ],
-    "plan.cycle.other_axes": None,
-}
+CHANGES = """
+"plan.temperature" = ["23 degC", "24 degC"]
+"plan.gradient" = "2 K/min"
+"plan.soak" = "2 s"
+"rig.table.axis[0].travel" = "360 deg"  # all of which a plan may use
+"plan.cycle.moves" = [
+  { rest = "3 s", read_every = "1 s" },
+  { turn = "360 deg", peak_rate = "200 deg/s", shape = "linear ramps" },
+  { turn = "-360 deg", peak_rate = "200 deg/s", shape = "linear ramps" },
+]
+"""
 
 
 def a_recipe(folder: Path) -> Path:
     quick = Stability(for_at_least=Quantity.read("20 s", "time"))
-    made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES), quick)
+    changes = tomllib.loads(CHANGES) | {"plan.cycle.other_axes": None}
+    made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), changes), quick)
     path = folder / "recipe.toml"
     path.write_text(to_toml(made), encoding="utf-8")
     return path

@@ -1,9 +1,10 @@
-"""Random combinations of kinds: rates, stamps, losses, values. The angle random walk is right, or something is asked.
+"""Random combinations of kinds: rates, stamps, values, text. The angle random walk is right, or something is asked.
 
 `pytest -m evidence` looks at a thousand of them, and at five hundred sound records, of which nothing may be asked.
 """
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_recording_zoo import looked_at
 
-from gradcal_jax.records.examination import Columns, examine
+from gradcal_jax.records.importers import import_log
 
 ROWS = 6000
 # A mask of a tenth of rows, at most, leaves the fit; values that are worse than these are asked about.
@@ -45,15 +46,27 @@ VALUES = {
     "in turns": lambda w, s, rng: w + 12.0 * s * (np.arange(len(w)) % 3),
     "means": lambda w, s, rng: w,
 }
+TEXTS = {
+    "plain": lambda t, v: f"{t:.9f},{v:.9g}",
+    "exponents": lambda t, v: f"{t:.12e},{v:.9e}",
+    "quotes": lambda t, v: f'"{t:.9f}","{v:.9g}"',
+    "checksum": lambda t, v: f"{t:.9f},{v:.9g}*7F",
+    "typographic minus": lambda t, v: f"{t:.9f},{v:.9f}".replace("-", "\u2212"),
+    "brackets": lambda t, v: f"{t:.9f}," + (f"({-v:.9f})" if v < 0 else f"{v:.9f}"),
+    "commas": lambda t, v: f"{t:.9f};{v:.9f}".replace(".", ","),
+}
+UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6}
 
 
 class Case(NamedTuple):
     seed: int
     log_hz: float
     log_walk: float
+    unit: str
     stamps: str
     kept: str
     values: str
+    text: str
 
 
 def cases(sound: bool = False) -> st.SearchStrategy[Case]:
@@ -63,21 +76,35 @@ def cases(sound: bool = False) -> st.SearchStrategy[Case]:
         st.integers(0, 2**31),
         st.floats(0.0, math.log(10_000.0)),
         st.floats(math.log(0.05), math.log(1.5)),
+        st.sampled_from(list(UNITS)),
         pick(STAMPS, "even", "jitter", "late", "wander"),
         pick(KEPT, "all"),
         pick(VALUES, "sound", "fine steps"),
+        pick(TEXTS, "plain", "exponents", "quotes", "typographic minus", "commas"),
     )
 
 
-def off(case: Case) -> tuple[float, list[str]]:
-    """How many standard errors the figure is off, 0 where it was refused, and what was said of it."""
-    rng, hz, truth = np.random.default_rng(case.seed), math.exp(case.log_hz), math.exp(case.log_walk)
-    k, sigma = np.arange(ROWS), truth / 60.0 * math.sqrt(hz)
+def written(case: Case, folder: Path) -> tuple[Path, str, float]:
+    """The file, its map, and the truth: N, deg/sqrt(h)."""
+    rng, hz, walk = np.random.default_rng(case.seed), math.exp(case.log_hz), math.exp(case.log_walk)
+    k, sigma = np.arange(ROWS), walk / 60.0 * math.sqrt(hz)
     rate = VALUES[case.values](0.3 * sigma + sigma * rng.standard_normal(ROWS), sigma, rng)
-    time = STAMPS[case.stamps](k, hz, rng)
+    time = STAMPS[case.stamps](k, hz, rng) * UNITS[case.unit]
     kept = KEPT[case.kept](k, rng)
+    rows = [TEXTS[case.text](t, v) for t, v in zip(time[kept].tolist(), rate[kept].tolist(), strict=True)]
+    mark = ";" if case.text == "commas" else ","
+    path = folder / "record.csv"
+    path.write_text(f"t{mark}gx\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    columns = f'format = "gradcal-columns/1"\ntime = {{ column = "t", unit = "{case.unit}" }}\n'
+    columns += 'rate.x = { column = "gx", unit = "deg/s" }\n'
+    return path, columns + ('[csv]\ndelimiter = ";"\ndecimal = ","\n' if mark == ";" else ""), walk
+
+
+def off(case: Case, folder: Path) -> tuple[float, list[str]]:
+    """How many standard errors the figure is off, 0 where it was refused, and what was said of it."""
+    path, columns, truth = written(case, folder)
     try:
-        walk, error, said = looked_at(examine(Columns("a", {"gyro x": np.radians(rate[kept]), "time": time[kept]})))
+        walk, error, said = looked_at(import_log(path, columns))
     except ValueError as question:
         return 0.0, [str(question)]
     return abs(walk - truth) / max(error, 1e-4 * truth), said
@@ -93,14 +120,14 @@ def asked(said: list[str]) -> bool:
     return any("?" in one or "increase the measured noise" in one or "noise changes" in one for one in said)
 
 
-def every(count: int, *, sound: bool) -> tuple[list[float], list[bool]]:
+def every(count: int, folders, *, sound: bool) -> tuple[list[float], list[bool]]:
     """Of so many cases the errors in sigmas, and whether the model misfits; each is right, or asked if it may be."""
     aways, misfits = list[float](), list[bool]()
 
     @settings(max_examples=count, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
     @given(cases(sound))
     def each(case: Case):
-        away, said = off(case)
+        away, said = off(case, folders.mktemp("case"))
         excused = not sound and (asked(said) or misfit(said))
         assert away < 5.0 or excused, (case, away, said)
         assert not (sound and asked(said)), (case, said)
@@ -111,17 +138,17 @@ def every(count: int, *, sound: bool) -> tuple[list[float], list[bool]]:
     return aways, misfits
 
 
-def test_a_combination_is_right_or_asked_about():
-    every(40, sound=False)
+def test_a_combination_is_right_or_asked_about(tmp_path_factory):
+    every(40, tmp_path_factory, sound=False)
 
 
-def test_of_a_sound_record_nothing_is_asked():
-    every(20, sound=True)
+def test_of_a_sound_record_nothing_is_asked(tmp_path_factory):
+    every(20, tmp_path_factory, sound=True)
 
 
 @pytest.mark.evidence
-def test_a_thousand_combinations():
-    aways = np.array(every(1000, sound=False)[0])
+def test_a_thousand_combinations(tmp_path_factory):
+    aways = np.array(every(1000, tmp_path_factory, sound=False)[0])
     # Three standard errors are exceeded by chance in 0.3 % of records, and somewhat more often by errors that are
     # themselves estimated.
     beyond = np.mean(aways > 3.0)
@@ -130,7 +157,7 @@ def test_a_thousand_combinations():
 
 
 @pytest.mark.evidence
-def test_five_hundred_sound_records():
-    misfits = every(500, sound=True)[1]
+def test_five_hundred_sound_records(tmp_path_factory):
+    misfits = every(500, tmp_path_factory, sound=True)[1]
     print(f"{len(misfits)} sound records, nothing asked; {np.mean(misfits):.1%} fail the test of the model at 1 %")
     assert np.mean(misfits) < 0.03

@@ -121,10 +121,11 @@ class Runner:
         limits: dict[str, Any] = {}
         for name, entry, device in self.bench.devices():
             report = report_of(self.bench, name, entry, device, self.known.get(name))
+            if report.problem:
+                # A resume compares with the devices of the journal: this one is none of the run's.
+                raise HardwareError(report.problem)
             if report.identity is not None:
                 self._event("identity", **event_fields(report.identity), device=name)
-            if report.problem:
-                raise HardwareError(report.problem)
             limits[name] = report.limits
             if isinstance(report.limits, ImuSettings):
                 self._event("configuration", device=name, **event_fields(report.limits))

@@ -6,8 +6,9 @@ error changes is the derivative of those finite readings by it, by the complex s
 generalised least squares with the processes' covariance functions: no recursion, no state.
 """
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -77,13 +78,13 @@ def small(vector: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Errors:
-    """Finite errors of the installation; `angle`, `angle_rate`: of each axis's encoder, functions of (t, θ, θ̇)."""
+    """Finite errors of the installation; `angle`: of an axis's encoder and its rate, a function of (k, t, θ, θ̇)."""
 
     tau: np.ndarray
     delta: np.ndarray
     mu: np.ndarray
     gravity: complex = 0.0
-    angle: tuple[int, Callable, Callable] | None = None
+    angle: tuple[int, Callable] | None = None
 
 
 def _leg(step: Step) -> Leg:
@@ -137,8 +138,8 @@ class Simulator:
             angle = self.before[k][l] + (turned if own else 0.0 * turned)
             speed = rate if own else 0.0 * rate
             if errors.angle is not None and errors.angle[0] == l:
-                _, of_angle, of_rate = errors.angle
-                angle, speed = angle + of_angle(k, t, angle, speed), speed + of_rate(k, t, angle, speed)
+                extra, faster = errors.angle[1](k, t, angle, speed)
+                angle, speed = angle + extra, speed + faster
             if l + 1 < len(scene.axes):
                 about = np.cross(scene.axes[l + 1], scene.axes[l])
                 inner = small(errors.delta[l] * about) @ inner
@@ -172,70 +173,45 @@ class Simulator:
         """Every installation error by its name: what makes it of a size."""
         scene, found = self.scene, {}
 
-        def put(**fields):
-            def error_of(x):
-                errors = self.none
-                for name, unit in fields.items():
-                    setattr(errors, name, unit * x)
-                return errors
+        def put(field: str, unit: np.ndarray | float):
+            return lambda x: replace(self.none, **{field: unit * x})
 
-            return error_of
-
-        for j, name in enumerate(("tilt_east", "tilt_north", "azimuth")):
-            found[name] = put(tau=np.eye(3)[j])
-        for l in range(len(scene.axes) - 1):
-            found[f"orthogonality_axis{l}_axis{l + 1}"] = put(delta=np.eye(len(scene.axes) - 1)[l])
+        for unit, name in zip(np.eye(3), ("tilt_east", "tilt_north", "azimuth"), strict=True):
+            found[name] = put("tau", unit)
+        for l, unit in enumerate(np.eye(len(scene.axes) - 1)):
+            found[f"orthogonality_axis{l}_axis{l + 1}"] = put("delta", unit)
         for l, orders in enumerate(scene.orders):
             for order in orders:
-                for wave, function, slope in (("cos", np.cos, lambda x: -np.sin(x)), ("sin", np.sin, np.cos)):
-                    found[f"angle_axis{l}_{wave}{order}"] = self._harmonic(l, order, function, slope)
-        for k in range(len(scene.mountings)):
-            for j, name in enumerate(AXES):
-                unit = np.zeros((len(scene.mountings), 3))
-                unit[k, j] = 1.0
-                found[f"mounting{k + 1}_{name}"] = put(mu=unit)
-        found["gravity"] = put(gravity=1.0)
+                for wave, phase in (("cos", 0.0), ("sin", -0.5 * np.pi)):
+                    found[f"angle_axis{l}_{wave}{order}"] = self._harmonic(l, order, phase)
+        for unit in np.eye(3 * len(scene.mountings)):
+            (at,) = np.flatnonzero(unit)
+            found[f"mounting{at // 3 + 1}_{AXES[at % 3]}"] = put("mu", unit.reshape(-1, 3))
+        found["gravity"] = put("gravity", 1.0)
         return found
 
-    def _harmonic(self, l: int, order: int, function, slope):
+    def _harmonic(self, l: int, order: int, phase: float):
         """Told angle and true angle differ by the error at the told angle."""
 
-        def error_of(x):
-            errors = self.none
-            errors.angle = (
-                l,
-                lambda k, t, angle, speed: x * function(order * angle),
-                lambda k, t, angle, speed: x * order * slope(order * angle) * speed,
-            )
-            return errors
+        def wave(x, angle, speed):
+            return x * np.cos(order * angle + phase), -x * order * np.sin(order * angle + phase) * speed
 
-        return error_of
+        return lambda x: replace(self.none, angle=(l, lambda k, t, angle, speed: wave(x, angle, speed)))
 
     def encoder(self, l: int, *, now: bool) -> Callable[[complex], Errors]:
         """Error of an axis at its standstill now, or at the one before the move that it makes."""
 
         def share(k, t):
-            if self.scene.steps[k].axis != l and not self.scene.held:
-                # Straight from reading to reading; the attitude is turned by their mean.
-                return np.full(len(t), 0.5), np.full(
-                    len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k])
-                )
-            if self.scene.steps[k].axis != l:
-                return np.full(len(t), 1.0 if now else 0.0), np.zeros(len(t))
-            turned, rate = self.travel(k, t)
-            whole = self.scene.steps[k].angle
-            return (turned / whole, rate / whole) if now else (1.0 - turned / whole, -rate / whole)
+            leg = self.legs[k]
+            if leg.axis == l:
+                course = Course([leg], t)
+                return (course.share, course.pace) if now else (1.0 - course.share, -course.pace)
+            if self.scene.held:
+                return np.full(len(t), float(now)), np.zeros(len(t))
+            # Straight from reading to reading; the attitude is turned by their mean.
+            return np.full(len(t), 0.5), np.full(len(t), (1.0 if now else -1.0) / leg.duration)
 
-        def error_of(x):
-            errors = self.none
-            errors.angle = (
-                l,
-                lambda k, t, angle, speed: x * share(k, t)[0],
-                lambda k, t, angle, speed: x * share(k, t)[1],
-            )
-            return errors
-
-        return error_of
+        return lambda x: replace(self.none, angle=(l, lambda k, t, *_: [x * of for of in share(k, t)]))
 
     # --- the rows -----------------------------------------------------------------------------------------------------
 
@@ -253,35 +229,25 @@ class Simulator:
         """Columns of the channels' own terms by reported name, over `rows`."""
         scene, rows = self.scene, self.rows()
         centre, scale, rate_scale = scene.centre_and_scale
-        found: dict[str, np.ndarray] = {}
-
-        def add(name, segment, row, value):
-            found.setdefault(name, np.zeros(len(rows)))[row] = value
-
+        found = defaultdict[str, np.ndarray](lambda: np.zeros(len(rows)))
         for row, (k, c) in enumerate(rows):
             t, w = self.nodes[k]
             rate, force = self.seen(k, t, self.none)
             x = (scene.temperature[0] + scene.temperature[1] * (self.times[k] + t) - centre) / scale
-            i, others = c % 3, [j for j in range(3) if j != c % 3]
+            name, vector, bias = ("gyro", rate, "a") if c < 3 else ("accelerometer", force, "b")
+            name, own = f"{name}_{AXES[c % 3]}.", vector[:, c % 3]
             for q in range(scene.powers[0] + 1):
-                if c < 3:
-                    add(f"gyro_{AXES[i]}.a{q}", k, row, w @ x**q)
-                    for r in range(scene.powers[1] + 1):
-                        value = w @ (x**q * (rate[:, i] / rate_scale) ** r * rate[:, i])
-                        add(f"gyro_{AXES[i]}.b{r}{q}", k, row, value)
-                    for j in others:
-                        add(f"gyro_{AXES[i]}.m_{AXES[j]}{q}", k, row, w @ (x**q * rate[:, j]))
-                else:
-                    add(f"accelerometer_{AXES[i]}.b{q}", k, row, w @ x**q)
-                    add(f"accelerometer_{AXES[i]}.s{q}", k, row, w @ (x**q * force[:, i]))
-                    for j in others:
-                        add(f"accelerometer_{AXES[i]}.m_{AXES[j]}{q}", k, row, w @ (x**q * force[:, j]))
-            for j in range(3):
-                if c < 3:
-                    add(f"gyro_{AXES[i]}.g_{AXES[j]}", k, row, w @ force[:, j])
+                found[f"{name}{bias}{q}"][row] = w @ x**q
+                for j in {0, 1, 2} - {c % 3}:
+                    found[f"{name}m_{AXES[j]}{q}"][row] = w @ (x**q * vector[:, j])
+                for r in range(scene.powers[1] + 1 if c < 3 else 0):
+                    found[f"{name}b{r}{q}"][row] = w @ (x**q * (own / rate_scale) ** r * own)
+                if c >= 3:
+                    found[f"{name}s{q}"][row] = w @ (x**q * own)
             if c >= 3:
-                name = f"accelerometer_{AXES[i]}"
-                add(f"{name}.k2", k, row, w @ force[:, i] ** 2)
+                found[f"{name}k2"][row] = w @ own**2
+            for j in range(3 if c < 3 else 0):
+                found[f"{name}g_{AXES[j]}"][row] = w @ force[:, j]
         return found
 
     def columns(self) -> dict[str, np.ndarray]:

@@ -107,3 +107,7 @@ def gyro(calibration: Calibration, rate: np.ndarray, temperature: np.ndarray, ax
     """The output of a calibration's gyro for true rates: the calibration forwards."""
     channel = next(channel for channel in calibration.channel if channel.name == f"gyro_{axis}")
     return rate + channel_error(channel, temperature, {channel.input: rate})
+
+
+def largest(errors: np.ndarray) -> float:
+    return float(np.max(np.abs(errors)))

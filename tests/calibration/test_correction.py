@@ -4,7 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_samples import BINS_W, SPLINE_T, WHOLE, G, a_truth, axis, calibration_of, gyro, of, readings, term
+from calibration_samples import (
+    BINS_W,
+    SPLINE_T,
+    WHOLE,
+    G,
+    a_truth,
+    axis,
+    calibration_of,
+    gyro,
+    of,
+    readings,
+    term,
+)
 
 from gradcal_jax.calibration.correction import apply, correct, term_values
 from gradcal_jax.records.log import Log, LogError, Reason

@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 import yaml
-from calibration_samples import SPLINE_T, G, a_truth, axis, calibration_of, gyro, of, readings, term
+from calibration_samples import SPLINE_T, G, a_truth, axis, calibration_of, gyro, largest, of, readings, term
 from calibration_samples import WHOLE as CALIBRATION
 from controllers import TAKEN_OFF, parameters_of
 
@@ -40,10 +40,10 @@ def test_flight_controllers_take_the_biases_off_within_what_is_said(target, cali
     told = parameters_of(done.text, target)
     for channel in calibration.channel:
         taken = TAKEN_OFF[target](told, "xyz".index(channel.axis), T, 2, channel.kind)
-        assert np.max(np.abs(taken - bias(channel, T))) < (1e-8 if channel.kind == "gyro" else 1e-6) * 3.0
+        assert largest(taken - bias(channel, T)) < (1e-8 if channel.kind == "gyro" else 1e-6) * 3.0
         if target == "px4":  # it corrects in steps of 1 °C
             fine = np.linspace(-30.0, 70.0, 1001)
-            steps = np.max(np.abs(bias(channel, fine) - bias(channel, np.floor(fine))))
+            steps = largest(bias(channel, fine) - bias(channel, np.floor(fine)))
             factor = DEG_PER_H if channel.kind == "gyro" else 1e6 / G
             assert loss(done, channel.label, "at rest") == pytest.approx(steps * factor, rel=1e-3)
         assert loss(done, channel.label, MOVING) > 1000.0
@@ -96,16 +96,16 @@ def test_kalibr_s_form_is_the_same_imu_in_its_own_frame():
     force, _ = linear(truth, "accelerometer", at)
     form = {name: np.array(of) for name, of in linear_at(IMU, at)["kalibr"].items()}
     for matrix in (form["accelerometer"], form["gyro"]):
-        assert np.max(np.abs(np.triu(matrix, 1))) < 1e-15
+        assert largest(np.triu(matrix, 1)) < 1e-15
     for rotation in (form["rotation"], form["frame"]):
-        assert np.max(np.abs(rotation @ rotation.T - np.eye(3))) < 1e-14
+        assert largest(rotation @ rotation.T - np.eye(3)) < 1e-14
         assert np.linalg.det(rotation) > 0.0
-    assert np.max(np.abs(form["accelerometer"] @ form["frame"] - force)) < 1e-14
-    assert np.max(np.abs(form["gyro"] @ form["rotation"] @ form["frame"] - gyro)) < 1e-14
+    assert largest(form["accelerometer"] @ form["frame"] - force) < 1e-14
+    assert largest(form["gyro"] @ form["rotation"] @ form["frame"] - gyro) < 1e-14
     text = export(IMU, "kalibr", temperature_c=at).text
     written = yaml.safe_load(text)
-    assert np.max(np.abs(np.array(written["accelerometers"]["M"]) - form["accelerometer"])) == 0.0
-    assert np.max(np.abs(np.array(written["gyroscopes"]["C_gyro_i"]) - form["rotation"])) == 0.0
+    assert largest(np.array(written["accelerometers"]["M"]) - form["accelerometer"]) == 0.0
+    assert largest(np.array(written["gyroscopes"]["C_gyro_i"]) - form["rotation"]) == 0.0
 
 
 def test_matrices_correct_what_the_imu_says():
@@ -115,7 +115,7 @@ def test_matrices_correct_what_the_imu_says():
     matrix, bias = linear(truth, "accelerometer", at)
     raw = matrix @ force + bias
     again = np.array(written["accelerometer"]["matrix"]) @ (raw - np.array(written["accelerometer"]["bias"]))
-    assert np.max(np.abs(again - force)) < 1e-13
+    assert largest(again - force) < 1e-13
 
 
 def csv_rows(calibration):
@@ -150,13 +150,13 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     assert ran.returncode == 0, "the header's own self-test failed"
     out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
     rounds = int(re.search(r"round < (\d+)", done.text)[1])
-    assert np.max(np.abs(out - header.corrected(said, temperature, rounds)[0])) < 1e-5
+    assert largest(out - header.corrected(said, temperature, rounds)[0]) < 1e-5
     exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
     for channel in calibration.channel:
-        off = np.max(np.abs(out[:, inputs.index(channel.input)] - exact[channel.input]))
+        off = largest(out[:, inputs.index(channel.input)] - exact[channel.input])
         stated = next(one for one in done.losses if (one.channel, one.what) == (channel.label, MOVING))
-        largest = np.radians(300.0) if channel.kind == "gyro" else G
-        assert off / largest * 1e6 < 2.0 * stated.value + 0.5
+        full_scale = np.radians(300.0) if channel.kind == "gyro" else G
+        assert off / full_scale * 1e6 < 2.0 * stated.value + 0.5
         assert stated.value < 1.0
     code = re.sub(r"/\*.*?\*/", "", done.text, flags=re.DOTALL)
     assert "/" not in code  # no division
@@ -180,7 +180,7 @@ def test_what_follows_the_path_of_the_temperature_is_counted_or_named():
     # The lag and the term in dT/dt together, at the worst temperature.
     one = next(one for one in export(calibration, "c-header").losses if one.what == "while the temperature changes")
     assert (one.channel, one.unit) == ("gyro x", "deg/h at 1 K/min")
-    assert one.value == pytest.approx(np.max(np.abs(2e-3 / 60.0 - behind)) * DEG_PER_H, rel=1e-2)
+    assert one.value == pytest.approx(largest(2e-3 / 60.0 - behind) * DEG_PER_H, rel=1e-2)
 
 
 PROGRAM = """
@@ -212,7 +212,7 @@ def test_the_header_takes_the_rounds_that_large_errors_need():
     assert loss(done, "gyro x", "at rest") < 0.2
     truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
     last, _ = Header(large).corrected(gyro(large, truth, at)[:, None], at, 12)
-    assert np.max(np.abs(last[:, 0] - truth)) < 2e-6
+    assert largest(last[:, 0] - truth) < 2e-6
 
 
 def test_what_a_target_cannot_take_is_a_sentence():

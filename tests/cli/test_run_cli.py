@@ -23,7 +23,6 @@ from gradcal_jax.records.log_file import read_log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import to_toml
 
 CHANGES = """
@@ -40,7 +39,7 @@ CHANGES = """
 
 
 def a_recipe(folder: Path) -> Path:
-    quick = Stability(for_at_least=Quantity.read("20 s", "time"))
+    quick = Stability.model_validate({"for_at_least": "20 s"})
     changes = tomllib.loads(CHANGES) | {"plan.cycle.other_axes": None}
     made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), changes), quick)
     path = folder / "recipe.toml"

@@ -43,13 +43,18 @@ def sound(texts):
     return spec
 
 
+def written(folder, most_lines):
+    texts = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+    assert len(texts["spec.toml"].splitlines()) <= most_lines
+    return sound(texts)
+
+
 @pytest.mark.parametrize("preset", ["drone-gyro", "tactical-gyro"])
 def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path, capsys):
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     assert f"gradcal predict {out / 'spec.toml'}" in capsys.readouterr().out
-    spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
-    assert len((out / "spec.toml").read_text(encoding="utf-8").splitlines()) <= 40
+    spec = written(out, 40)
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met", "met"]
     assert prediction.omitted == ()
@@ -75,10 +80,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert len((out / "spec.toml").read_text(encoding="utf-8").splitlines()) <= (
-        60 if PRESETS[preset]["axes"] == "1" else 80
-    )
-    spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
+    spec = written(out, 60 if PRESETS[preset]["axes"] == "1" else 80)
     assert (len(spec.sensor.gyro.axes), len(spec.sensor.accelerometer.axes)) == (3, 3)
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met"] * 4

@@ -96,6 +96,19 @@ def test_a_frozen_temperature_is_found_and_a_coarse_one_is_not():
     assert "never changes" in kinds(log)["constant temperature"].message
 
 
+@pytest.mark.parametrize(
+    ("raw", "sentence"),
+    [
+        (columns(300 * np.sin(np.arange(3000) * 0.01)), "column map state a unit that is too large"),
+        (columns(quiet(2_000_000), np.arange(2_000_000)), "another unit"),  # ms as s at 1 kHz: 23 days
+    ],
+)
+def test_wrong_units_are_found_by_size(raw, sentence):
+    with pytest.raises(LogError, match=sentence):
+        examine(raw)
+    assert kinds(examine(raw, Policy(values="keep")))["question"].done == "keep"
+
+
 def test_a_clock_that_differs_from_the_stated_rate_is_said():
     time = np.arange(20_000) * 0.01
     (finding,) = examine(columns(quiet(20_000), time * 1.0003, sample_rate_hz=100.0)).findings

@@ -225,10 +225,11 @@ def test_a_table_and_what_is_known_of_the_record(tmp_path):
 def test_of_sensors_that_are_not_there_the_values_are_shown(tmp_path):
     (tmp_path / "a.csv").write_text("id,gx\n" + "1,0.1\n2,0.2\n" * 300, encoding="utf-8")
     np.savez(tmp_path / "a.npz", id=np.tile([1, 2], 300), gx=np.tile([0.1, 0.2], 300))
+    where = 'where = {{ column = "id", equals = {} }}\n'
     for name in ("a.csv", "a.npz"):
         with pytest.raises(LogError, match=r"where: no row has 3 .*include 1, 2"):
-            import_log(tmp_path / name, ID + 'where = { column = "id", equals = 3 }\n')
-        log = import_log(tmp_path / name, ID + 'where = { column = "id", equals = 2 }\n')
+            import_log(tmp_path / name, ID + where.format(3))
+        log = import_log(tmp_path / name, ID + where.format(2))
         assert np.degrees(log.rate_rad_per_s).ravel() == pytest.approx(np.full(300, 0.2))
 
 

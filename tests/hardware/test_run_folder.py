@@ -75,9 +75,11 @@ def test_a_run_does_not_go_on_as_another(ended: Path, file: str, old: str, new: 
 
 def test_a_run_does_not_go_on_with_another_device(ended: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimulatedAxis, "identify", lambda self: Identity("simulated", "another axis"))
-    result = resume(ended)
-    assert not result.begun
-    assert re.search("x at .* is another device .*model 'another axis'", result.reason)
+    commanded = list[str]()
+    monkeypatch.setattr(SimulatedAxis, "safe", lambda self, how: commanded.append(how))
+    with pytest.raises(WrongIdentity, match="x at .* is another device .*model 'another axis'"):
+        resume(ended)
+    assert not commanded
 
 
 def test_a_log_is_decoded_as_the_run_was_configured(ended: Path) -> None:

@@ -11,10 +11,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import pytest
 import serial
@@ -31,9 +28,8 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import Guard
 from gradcal_jax.hardware.interlocks import InterlockLimits
-from gradcal_jax.hardware.journal import Event, Journal, read_journal
+from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.supervision import SafeOutcome, read_status
 from gradcal_jax.spec.rig import TEMPLATE
@@ -43,32 +39,31 @@ SPEED = 20.0
 SAFE = {"table": True, "chamber": True, "unit1": True}
 
 
-def left_turning(rig: Rig, folder: Path, clock: RealClock) -> None:
+def left_turning(rig, folder, clock):
     """A rig as a killed run leaves it, and the run's folder."""
     write_toml(rig.rig, folder / "rig.toml")
     Journal(folder / "journal").close()
     with open_rig(rig.rig, clock) as bench:
-        assert bench.chamber is not None
         bench.chamber.hold(40.0)
         bench.axes["table"].home()
         bench.axes["table"].spin(60.0, 300.0)
 
 
-def by_guard(path: Path) -> list[Event]:
+def by_guard(path):
     events = read_journal(path).events
     return [event for event in events if event.name == "guard" or event.data.get("by") == "guard"]
 
 
-def made_safe(path: Path) -> dict[str, bool]:
+def made_safe(path):
     """Whether the guard has verified each device, at its last try."""
     return {e.data["device"]: e.data["verified"] for e in by_guard(path) if "device" in e.data}
 
 
-def stands(rig: Rig, clock: RealClock) -> bool:
+def stands(rig, clock):
     return rig.chamber.mode == "STANDBY" and rig.axis.state(clock.now())[1] == 0.0
 
 
-def soon(is_so: Callable[[], bool], within_s: float = 60.0) -> bool:
+def soon(is_so, within_s=60.0):
     end = time.monotonic() + within_s
     while not is_so() and time.monotonic() < end:
         time.sleep(0.1)
@@ -78,15 +73,13 @@ def soon(is_so: Callable[[], bool], within_s: float = 60.0) -> bool:
 # ------------------------------------------------------------------------------------------------- safe, then written
 
 
-def test_a_full_disk_keeps_no_device_from_being_made_safe(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_keeps_no_device_from_being_made_safe(tmp_path, monkeypatch, capsys):
     clock, write = RealClock(), os.write
     with Rig(clock, on_terminals=True) as rig:
         left_turning(rig, tmp_path, clock)
         file = (tmp_path / "journal").stat()
 
-        def full(handle: int, data: bytes) -> int:
+        def full(handle, data):
             if os.path.samestat(os.fstat(handle), file):
                 raise OSError(errno.ENOSPC, "No space left on device")
             return write(handle, data)
@@ -103,7 +96,7 @@ def test_a_full_disk_keeps_no_device_from_being_made_safe(
 # ------------------------------------------------------------------------------------------------------- when it acts
 
 
-def test_files_in_the_working_folder_are_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_in_the_working_folder_are_not_imported(tmp_path, monkeypatch):
     (tmp_path / "rig.toml").write_text(TEMPLATE.replace("/dev/ttyUSB", "/nowhere/port"))
     for name in ("queue", "serial", "signal", "json"):
         (tmp_path / f"{name}.py").write_text(f"open('{name} was imported', 'w')\nraise SystemExit(1)\n")
@@ -117,7 +110,7 @@ def test_files_in_the_working_folder_are_not_imported(tmp_path: Path, monkeypatc
     ("said", "acts"),
     [(b"", False), (b"begun\n", True), (b"begun\ndone\n", False), (b"begun\ndo", True)],
 )
-def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: bool, tmp_path: Path) -> None:
+def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said, acts, tmp_path):
     # A rig whose ports are not there: whoever wants to open them says so.
     heard = tmp_path / "heard"
     alarm = [sys.executable, "-c", "import sys; open(sys.argv[1], 'w').write(sys.argv[2])", str(heard)]
@@ -132,7 +125,7 @@ def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: boo
     assert not acts or "the guard makes the rig safe" in heard.read_text()
 
 
-def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path) -> None:
+def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path):
     (tmp_path / "rig.toml").write_text("format = 1")
     with pytest.raises(HardwareError, match="cannot work with"), closing(guard.Guard(tmp_path)):
         pass
@@ -141,24 +134,22 @@ def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path
 # ----------------------------------------------------------------------------------- what it needs, it has beforehand
 
 
-def guard_of(folder: Path) -> "subprocess.Popen[bytes]":
+def guard_of(folder):
     words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(folder)]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdout is not None
     assert select.select([process.stdout], [], [], 20.0)[0], "it does not say that it is ready"
     return process
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("fate", ["moved", "removed"])
-def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Path) -> None:
+def test_the_folder_may_go_away_before_the_run_is_killed(fate, tmp_path):
     clock, folder = RealClock(), tmp_path / "run"
     folder.mkdir()
     with Rig(clock, on_terminals=True) as rig:
         limit = rig.table.settings[120]
         write_toml(rig.rig, folder / "rig.toml")
         process = guard_of(folder)
-        assert process.stdin is not None
         with process.stdin:
             process.stdin.write(b'begun\nbefore ["table", "acceleration", "%g"]\n' % limit)
             process.stdin.flush()
@@ -166,7 +157,6 @@ def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Pa
             rig.table.settings[120] = 12.5
             (folder.rename(tmp_path / "elsewhere") if fate == "moved" else shutil.rmtree(folder))
         assert process.wait(timeout=60.0) == 0
-        assert process.stdout is not None
         process.stdout.close()
         assert stands(rig, clock)
         # What the run had changed of a device is as it was, though this process never changed it.
@@ -176,9 +166,7 @@ def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Pa
 
 
 @pytest.mark.long
-def test_a_device_that_does_not_answer_is_tried_until_it_does(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_that_does_not_answer_is_tried_until_it_does(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(guard, "_TO_OPEN_S", 0.3)
     clock = RealClock()
     with Rig(clock, on_terminals=True) as rig:
@@ -197,7 +185,7 @@ def test_a_device_that_does_not_answer_is_tried_until_it_does(
 # ------------------------------------------------------------------------------------------------- alive, both ways
 
 
-def test_a_guard_that_died_since_the_last_beat_is_replaced_at_the_end(tmp_path: Path) -> None:
+def test_a_guard_that_died_since_the_last_beat_is_replaced_at_the_end(tmp_path):
     clock = RealClock()
     with Rig(clock, on_terminals=True) as rig:
         left_turning(rig, tmp_path, clock)
@@ -211,12 +199,12 @@ def test_a_guard_that_died_since_the_last_beat_is_replaced_at_the_end(tmp_path: 
     assert made_safe(tmp_path / "journal") == SAFE
 
 
-def test_a_guard_that_hangs_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_guard_that_hangs_is_replaced(tmp_path, monkeypatch):
     """It is stopped, as by a debugger, and would keep no killed run's rig safe."""
     monkeypatch.setattr(guard, "_SILENT_S", 2.0)
     with Rig(RealClock(), on_terminals=True) as rig:
         left_turning(rig, tmp_path, RealClock())
-        watched, said = guard.Guard(tmp_path), list[str]()
+        watched, said = guard.Guard(tmp_path), []
         for _ in range(30):
             said.append(watched.beat())
             time.sleep(0.1)
@@ -232,7 +220,7 @@ def test_a_guard_that_hangs_is_replaced(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.long
-def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
+def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path):
     """The process is stopped, as by a debugger or a disk that never answers: it holds its ports and says nothing."""
     write_toml(short_recipe(6.0), tmp_path / "recipe.toml")
     with laboratory(tmp_path, SPEED) as lab:
@@ -241,8 +229,6 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
         assert soon(lambda: journal.exists() and journal.read_bytes().count(b'"move"') >= 2)
         os.kill(int((tmp_path / "run" / "pid").read_text()), signal.SIGSTOP)
         assert soon(lambda: journal.read_bytes().count(b'"by":"guard"') >= 3)
-        assert lab.stdin is not None
-        assert lab.stdout is not None
         lab.stdin.write("state\n")
         lab.stdin.flush()
         assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
@@ -252,25 +238,23 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["broken off", "not verified", "guard died"])
-def test_what_the_run_leaves_unsafe_is_made_safe(
-    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_run_leaves_unsafe_is_made_safe(how, tmp_path, monkeypatch, capsys):
     """Ctrl-C, and once more while everything is made safe; a device that did not confirm; and that after the guard was
     killed in the run: another one does what the first was there for."""
-    guards, killed, left, start = list[guard.Guard](), list[None](), list[str](), guard.Guard.begun
+    guards, killed, left, start = [], [], [], guard.Guard.begun
 
-    def begun(self: guard.Guard) -> None:
+    def begun(self):
         guards.append(self)
         start(self)
 
-    def ends(progress: RunProgress) -> None:
+    def ends(progress):
         if how == "guard died":
             if not killed:
                 killed.append(guards[0].process.kill())
         elif lab.chamber.mode != "STANDBY":
             raise KeyboardInterrupt
 
-    def hindered(*_: object, **__: object) -> list[SafeOutcome]:
+    def hindered(*_, **__):
         left.append(lab.chamber.mode)
         if how == "broken off":
             raise KeyboardInterrupt
@@ -282,7 +266,7 @@ def test_what_the_run_leaves_unsafe_is_made_safe(
     clock, made = FastClock(SPEED), short_recipe(1.0)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        more: Any = {"guard": True, "on_progress": ends, "limits": InterlockLimits(latest_s=20.0)}
+        more = {"guard": True, "on_progress": ends, "limits": InterlockLimits(latest_s=20.0)}
         if how == "broken off":
             with pytest.raises(KeyboardInterrupt):
                 run_session(folder, clock, **more)
@@ -301,26 +285,23 @@ def test_what_the_run_leaves_unsafe_is_made_safe(
 
 
 # Of a line, of the system, of a program that is ended.
-PROBLEMS: list[BaseException] = [
+PROBLEMS = [
     termios.error(5, "why"), MemoryError(), serial.PortNotOpenError(), SystemExit(1), ExceptionGroup("why", [OSError()])
 ]  # fmt: skip
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("where", ["open", "write", "read"])
-def test_the_guard_survives_every_exception_of_one_port(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_guard_survives_every_exception_of_one_port(where, tmp_path, monkeypatch):
     monkeypatch.setattr(guard, "_TO_OPEN_S", 0.05)
-    clock, opener, raises = RealClock(), serial.serial_for_url, list[BaseException]()
+    clock, opener, raises = RealClock(), serial.serial_for_url, []
     with Rig(clock, on_terminals=True) as rig:
         spoilt = rig.rig.chamber
-        assert spoilt is not None
 
-        def fails(*_: object, **__: object) -> Any:
+        def fails(*_, **__):
             raise raises[0]
 
-        def opened(url: str, *arguments: Any, **options: Any) -> Any:
+        def opened(url, *arguments, **options):
             port = opener(url, *arguments, **options)
             if url == spoilt.port:
                 monkeypatch.setattr(port, where, fails)
@@ -350,7 +331,7 @@ def test_the_guard_survives_every_exception_of_one_port(
 # --------------------------------------------------------------------------------------------------- after the guard
 
 
-def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_after_the_guard_the_status_says_how_it_ended(tmp_path, capsys):
     clock = RealClock()
     status = {"format": "gradcal-status/1", "at_s": time.time(), "simulated": False, "state": "running", "step": "turn"}
     status |= {"steps": 2, "steps_done": 1, "axes": {}, "samples": {}, "track_left_s": 100.0}
@@ -372,16 +353,13 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
     assert "ended: lost, the run has ended unexpectedly" in capsys.readouterr().out
 
 
-def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(tmp_path, monkeypatch):
     """The chamber is off: it can neither answer nor be verified safe, and nothing was commanded."""
-    clock, told = RealClock(), list[str]()
+    clock, told = RealClock(), []
     for name in ("done", "begun"):
         call = getattr(Guard, name)
         monkeypatch.setattr(Guard, name, lambda self, name=name, call=call: (told.append(name), call(self)))
     with Rig(clock) as rig:
-        assert rig.rig.chamber is not None
         rig.rig.chamber.options["reply_timeout"] = "0.1 s"
         run = new_folder(tmp_path / "run", short_recipe(1.0), rig.rig, simulated={})
         rig.ports[0].faults = lambda message: []

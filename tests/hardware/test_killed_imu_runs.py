@@ -5,10 +5,8 @@ Two axes, three gyros and three accelerometers; a laboratory of its own for ever
 """
 
 import json
-import subprocess
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +16,8 @@ from imu_bench import estimated, made, short
 from killing import Killer, require_seams
 from scipy.stats import chi2
 
-from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
-from gradcal_jax.hardware.track import Track, track_of
-from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.records.log import Log
+from gradcal_jax.hardware.track import track_of
 from gradcal_jax.records.run_log import log as log_of_run
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.tables.writing import write_toml
@@ -32,7 +27,7 @@ RATE_HZ = 125.0
 AXES = ["tilt", "spin"]
 
 
-def quick(cycles: int) -> Recipe:
+def quick(cycles):
     """Of a chamber that is soon where a run goes on."""
     return made(changed(short(cycles), {"rig.chamber.max_cooling": "60 K/min"}))
 
@@ -44,16 +39,16 @@ class Sums:
     kills: int = 0
     guarded: int = 0
     seams: int = 0
-    each: list[tuple[float, int, float, int]] = field(default_factory=list[tuple[float, int, float, int]])
+    each: list[tuple[float, int, float, int]] = field(default_factory=list)
 
-    def require_in_bands(self, outside: float = 0.01) -> str:
+    def require_in_bands(self, outside=0.01):
         squares, degrees, nees, count = np.sum(self.each, axis=0)
         for value, free in ((squares, degrees), (nees, count)):
             assert chi2.ppf(outside / 2.0, free) < value < chi2.ppf(1.0 - outside / 2.0, free), self.each
         return f"χ² {squares:.0f} of {degrees:.0f}, NEES {nees:.0f} of {count:.0f}"
 
 
-def killed_run(folder: Path, made: Recipe, kills: int, seed: int, sums: Sums) -> Log:
+def killed_run(folder, made, kills, seed, sums):
     folder.mkdir()
     write_toml(made, folder / "recipe.toml")
     track, run = track_of(made, AXES), folder / "run"
@@ -68,18 +63,16 @@ def killed_run(folder: Path, made: Recipe, kills: int, seed: int, sums: Sums) ->
     return log
 
 
-def truth_in(folder: Path) -> dict[str, float]:
+def truth_in(folder):
     hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
     return hidden["units"]["unit1"] | hidden["installation"]
 
 
-def require_safe(lab: "subprocess.Popen[str]", fresh: list[Event], sums: Sums) -> None:
+def require_safe(lab, fresh, sums):
     """After a kill: whatever the run had begun to do, the guard has ended, unless the run itself came to it."""
     names = [event.name for event in fresh]
     if "identity" not in names:
         return
-    assert lab.stdin is not None
-    assert lab.stdout is not None
     lab.stdin.write("state\n")
     lab.stdin.flush()
     assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
@@ -89,7 +82,7 @@ def require_safe(lab: "subprocess.Popen[str]", fresh: list[Event], sums: Sums) -
     sums.guarded += bool(by_guard)
 
 
-def require_every_step_once(run: Path, track: Track, log: Log) -> None:
+def require_every_step_once(run, track, log):
     """Of every step its last attempt is there as the recipe has it; samples are neither lost nor doubled."""
     contents = RunFolder(run).contents()
     assert exit_status(contents) == "success"
@@ -97,7 +90,6 @@ def require_every_step_once(run: Path, track: Track, log: Log) -> None:
     assert done == list(range(len(track.steps)))
     begins = {e.data["number"]: e.data["begins_s"] for e in contents.events if e.name == "step begins"}
     moves = [e for e in contents.events if e.name == "move" and e.data["kind"] == "turn"]
-    assert log.host_time_s is not None
     for number, step in enumerate(track.steps):
         begin, end = begins[number], begins[number] + step.duration_s
         own = [e.data for e in moves if begin <= e.data["began_s"] < end]
@@ -116,7 +108,7 @@ def require_every_step_once(run: Path, track: Track, log: Log) -> None:
 
 
 @pytest.mark.long
-def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path: Path) -> None:
+def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path):
     sums, recipe = Sums(), quick(2)
     log = killed_run(tmp_path / "one", recipe, 1, 2, sums)
     assert sums.kills == sums.guarded == sums.seams == 1
@@ -128,7 +120,7 @@ def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path: Path) ->
 
 
 @pytest.mark.evidence
-def test_a_hundred_kills_lose_nothing(tmp_path: Path) -> None:
+def test_a_hundred_kills_lose_nothing(tmp_path):
     began = time.monotonic()
     sums, recipe = Sums(), quick(2)
     for seed in range(20, 60):

@@ -11,18 +11,14 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, acting, at, chunks_of, ends_aborted, events, in_step, running, short_recipe, short_track
+from hardware_bench import acting, at, chunks_of, ends_aborted, events, in_step, running, short_recipe, short_track
 from hardware_evidence import record
 from simulated_devices.faults import Faults
-from simulated_devices.wire import Wire
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware import journal, supervision
@@ -33,7 +29,6 @@ from gradcal_jax.hardware.execute import limits_of
 from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
-from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 from gradcal_jax.hardware.unit_control import ExecutedStep, SampleLosses
@@ -49,29 +44,29 @@ STANDS = Track((TrackStep("stand", 600.0),))
 TURNS = AxisCommand(0.0, "table", "turn", 3600.0, 150.0, 300.0)
 
 
-def nothing_ended_it(runner: Runner, after_s: float = 3600.0) -> Any:
+def nothing_ended_it(runner, after_s=3600.0):
     return at(runner, after_s), lambda: runner.abort("nothing ended it")
 
 
-def air_when_safe_c(folder: Path, rig: Rig) -> float:
+def air_when_safe_c(folder, rig):
     """Temperature of the air when the run had made the chamber safe: the clock, and a welded heater, run on after."""
     (safe,) = [event for event in events(folder, "made safe") if event.data["device"] == "chamber"]
     assert safe.time_s >= events(folder, "ending")[-1].time_s > 0.0
     return float(rig.chamber.plant.load_at(np.array([safe.time_s]))[0])
 
 
-def weld_on(rig: Rig, k_per_min: float = 6.0) -> None:
+def weld_on(rig, k_per_min=6.0):
     """The heater's contactor is welded: the air warms whatever the controller says."""
     plant = rig.chamber.plant
 
-    def heats(step_s: float) -> None:
+    def heats(step_s):
         plant._air_c += k_per_min / 60.0 * step_s
         plant._load_c = plant._air_c
 
     plant._step = heats
 
 
-def left(progress: RunProgress, seconds: float) -> bool:
+def left(progress, seconds):
     return progress.step_left_s is not None and progress.step_left_s < seconds
 
 
@@ -89,7 +84,7 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("state", BEYOND)
-def test_air_that_leaves_its_limits_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
+def test_air_that_leaves_its_limits_ends_a_run_in_every_state(tmp_path, state):
     track, when, limit_c, highest_c = BEYOND[state]
     # The other rules of temperature are off: this one holds alone.
     limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=limit_c)
@@ -101,7 +96,7 @@ def test_air_that_leaves_its_limits_ends_a_run_in_every_state(tmp_path: Path, st
         assert air_when_safe_c(tmp_path, rig) < highest_c
 
 
-def test_the_load_has_limits_too() -> None:
+def test_the_load_has_limits_too():
     chamber = ChamberControl(Mock(), RealClock(), lambda *_, **__: None)
     chamber.heard(ChamberReading(0.0, -30.0, -41.0, -30.0, "RUN", True, ()))
     said = chamber.violated(InterlockLimits(never_below_c=-40.0))["temperature limit"]
@@ -109,7 +104,7 @@ def test_the_load_has_limits_too() -> None:
 
 
 @pytest.mark.parametrize("when", ["while it waits", "in the last seconds"])
-def test_a_heater_welded_on_is_no_success(tmp_path: Path, when: str) -> None:
+def test_a_heater_welded_on_is_no_success(tmp_path, when):
     with running(tmp_path, HOT, with_unit=False) as (rig, runner):
         warm = lambda progress: progress.chamber is not None and progress.chamber.air_c > 35.0  # noqa: E731
         last = lambda progress: left(progress, 25.0)  # noqa: E731
@@ -121,17 +116,17 @@ def test_a_heater_welded_on_is_no_success(tmp_path: Path, when: str) -> None:
 
 
 @pytest.mark.parametrize("fate", ["no power, stabilising", "STANDBY at the panel, running"])
-def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(tmp_path: Path, fate: str) -> None:
+def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(tmp_path, fate):
     waits = fate.endswith("stabilising")
     # A wide band: the temperature says nothing for long.
     limits = InterlockLimits(temperature_band_k=30.0)
     with running(tmp_path, HOT if waits else WARMS, limits=limits, with_unit=False) as (rig, runner):
 
-        def fail() -> None:
+        def fail():
             rig.chamber.commands.clear()
             rig.chamber.reboot() if waits else rig.chamber._enter("STANDBY")
 
-        def is_so(progress: RunProgress) -> bool:
+        def is_so(progress):
             warm = progress.chamber is not None and progress.chamber.air_c > 30.0
             return warm and (progress.step_left_s is None) == waits
 
@@ -140,7 +135,7 @@ def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(t
         assert not [command for command in rig.chamber.commands if "CONSTANT" in command]
 
 
-def test_limits_of_the_rig_file_reach_the_run() -> None:
+def test_limits_of_the_rig_file_reach_the_run():
     chamber = {"driver": "lines", "options": {"protocol": "espec"}, "port": "COM1", "safe": "standby"}
     chamber |= {"never_above": "80 degC", "never_below": "-45 degC"}
     rig = rig_of({"format": "gradcal-rig/1", "chamber": chamber})
@@ -163,7 +158,7 @@ WITHOUT = {
 
 
 @pytest.mark.parametrize("words", WITHOUT)
-def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words: str, tmp_path: Path, capsys) -> None:
+def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words, tmp_path, capsys):
     rig, recipe = tmp_path / "rig.toml", tmp_path / "recipe.toml"
     rig.write_text('format = "gradcal-rig/1"\n' + WITHOUT[words])
     write_toml(short_recipe(), recipe)
@@ -178,12 +173,12 @@ def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words
 # ---------------------------------------------------------------------------------------------------------------- axes
 
 
-def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Path) -> None:
+def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path):
     """The table is held at 81.9 deg in mid-turn: the controller goes on pushing, its loop of position not closed."""
     with running(tmp_path, Track((TrackStep("turn", 60.0, moves=(TURNS,)),)), with_unit=False) as (rig, runner):
-        jammed: list[float] = []
+        jammed = []
 
-        def jam() -> None:
+        def jam():
             jammed.append(runner.clock.now())
             rig.axis.set_zero(runner.clock.now(), 81.9)
             rig.axis.move_to = lambda *_: None
@@ -199,14 +194,14 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
     assert 4.0 <= ended.time_s - jammed[0] < 7.0
 
 
-def test_a_spin_at_another_rate_is_made_again_from_the_nearest_equal_angle(tmp_path: Path) -> None:
+def test_a_spin_at_another_rate_is_made_again_from_the_nearest_equal_angle(tmp_path):
     """Rates of the standard method turn an axis many times round; a repeated step unwinds nothing."""
     spin = AxisCommand(0.0, "table", "spin", rate_dps=150.0, acceleration_dps2=300.0)
     track = Track((TrackStep("rate 1", 300.0, moves=(spin,), start_deg={"table": 0.0}),))
     with running(tmp_path, track, with_unit=False) as (rig, runner):
-        turned: list[float] = []
+        turned = []
 
-        def slow_down() -> None:
+        def slow_down():
             turned.append(rig.axis.state(runner.clock.now())[0])
             rig.axis.spin(runner.clock.now(), 100.0, 1e3)
 
@@ -222,11 +217,11 @@ def test_a_spin_at_another_rate_is_made_again_from_the_nearest_equal_angle(tmp_p
     assert goes["position_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path) -> None:
+def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path):
     with running(tmp_path, short_track()) as (rig, runner):
-        ran: list[float] = []
+        ran = []
 
-        def run_away() -> None:
+        def run_away():
             ran.append(runner.clock.now())
             rig.axis.spin(runner.clock.now(), 700.0, 1e5)
 
@@ -239,15 +234,13 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
 
 @pytest.mark.parametrize("heeds", [True, False], ids=["heeds a stop", "heeds nothing"])
 @pytest.mark.parametrize("rate_dps", [2.0, 500.0, math.inf])
-def test_an_axis_that_leaves_its_place_while_its_board_reports_idle(
-    tmp_path: Path, rate_dps: float, heeds: bool
-) -> None:
+def test_an_axis_that_leaves_its_place_while_its_board_reports_idle(tmp_path, rate_dps, heeds):
     """In a step whose samples are not used, and whose end no command follows; an infinite rate is a jump."""
     track = Track((TURN, TrackStep("stand", 120.0, read_every_s=10.0)))
     with running(tmp_path, track, with_unit=False) as (rig, runner):
-        clock, ran = runner.clock, list[float]()
+        clock, ran = runner.clock, []
 
-        def leave() -> None:
+        def leave():
             assert rig.table._state == "Idle"
             ran.append(clock.now())
             if math.isinf(rate_dps):
@@ -268,7 +261,7 @@ def test_an_axis_that_leaves_its_place_while_its_board_reports_idle(
 
 
 @pytest.mark.parametrize("angle_deg", [3600.0, -10.0, 90.0])
-def test_where_a_turn_is_planned_to_be_at_an_instant(angle_deg: float) -> None:
+def test_where_a_turn_is_planned_to_be_at_an_instant(angle_deg):
     """The integral of the trapezoid of its rate."""
     turn = AxisCommand(0.0, "table", "turn", rate_dps=150.0, acceleration_dps2=300.0, angle_deg=angle_deg)
     step_s = turn.duration_s / 100_000
@@ -282,17 +275,17 @@ def test_where_a_turn_is_planned_to_be_at_an_instant(angle_deg: float) -> None:
 # --------------------------------------------------------------------------------------------- steps that are not done
 
 
-def once_turning(rig: Rig, runner: Runner, *, last: bool = False) -> Callable[[RunProgress], bool]:
+def once_turning(rig, runner, *, last=False):
     """In a step with data, or in the last, while the table turns."""
 
-    def turns(progress: RunProgress) -> bool:
+    def turns(progress):
         under_way = progress.step_left_s is not None and progress.steps_done >= (progress.steps - 1 if last else 1)
         return under_way and abs(rig.axis.state(runner.clock.now())[1]) > 10.0
 
     return turns
 
 
-def was_executed(folder: Path) -> None:
+def was_executed(folder):
     """The last attempt at every step has all its commands, on time."""
     found = read_journal(folder / "journal").events
     done = {event.data["number"] for event in found if event.name == "step done"}
@@ -305,7 +298,7 @@ def was_executed(folder: Path) -> None:
             assert move["began_s"] - begin.data["begins_s"] == pytest.approx(move["start_s"], abs=1.0)
 
 
-def lossy(rig: Rig) -> None:
+def lossy(rig):
     rig.ports[2].faults = faults = Faults()
     faults.once(*["drop"] * 200)
 
@@ -319,9 +312,7 @@ def lossy(rig: Rig) -> None:
     ],
     ids=["a host that slept", "lost samples", "a unit that restarted"],
 )
-def test_a_step_that_was_not_executed_as_written_is_made_again(
-    tmp_path: Path, mishap: Any, why: str, last: bool
-) -> None:
+def test_a_step_that_was_not_executed_as_written_is_made_again(tmp_path, mishap, why, last):
     with running(tmp_path, short_track()) as (rig, runner):
         acting(runner, (once_turning(rig, runner, last=last), lambda: mishap(rig, runner.clock)))
         result = runner.run()
@@ -335,11 +326,11 @@ def test_a_step_that_was_not_executed_as_written_is_made_again(
     was_executed(tmp_path)
 
 
-def freezes(rig: Rig) -> None:
+def freezes(rig):
     """The unit repeats the rates and forces of one sample: a sensor that hangs behind its interface."""
     take, held = rig.sensor.take, []
 
-    def one(count: int) -> Any:
+    def one(count):
         samples = take(count)
         held[:] = held or [samples.rate_dps[0].copy()]
         samples.rate_dps[:] = held[0]
@@ -348,11 +339,11 @@ def freezes(rig: Rig) -> None:
     rig.sensor.take = one
 
 
-def damaged(message: bytes) -> list[tuple[float, bytes]]:
+def damaged(message):
     return [(0.0, message[:-3] + bytes([message[-3] ^ 1]) + message[-2:])]
 
 
-def spoils(way: Any) -> Any:
+def spoils(way):
     return lambda rig, clock: setattr(rig.ports[2], "faults", way)
 
 
@@ -366,9 +357,7 @@ def spoils(way: Any) -> Any:
     ],
     ids=["a slow host", "a frozen unit", "no bytes", "bytes and no usable sample"],
 )
-def test_what_is_never_executed_ends_the_run_with_a_sentence(
-    tmp_path: Path, mishap: Any, last: bool, attempts: int, words: str
-) -> None:
+def test_what_is_never_executed_ends_the_run_with_a_sentence(tmp_path, mishap, last, attempts, words):
     with running(tmp_path, short_track()) as (rig, runner):
         turning = once_turning(rig, runner, last=last)
         runner.chamber_every_s = 1.0
@@ -383,7 +372,7 @@ def test_what_is_never_executed_ends_the_run_with_a_sentence(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
-def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
+def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share):
     described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
     losses, random = (
         SampleLosses(TextUnitConfig(protocol=described).decoder(), 50.0, None, 0.0),
@@ -397,11 +386,11 @@ def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(shar
     assert not said or re.search(r"45\.\d* samples/s, but its setting is 50", said)
 
 
-def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
+def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path):
     with running(tmp_path, short_track()) as (rig, runner):
         jog, looks, swallowed = rig.table._jog, rig.table._now, []
 
-        def once_lame(at_s: float, goal: float, rate_dps: float) -> None:
+        def once_lame(at_s, goal, rate_dps):
             if not swallowed and len(events(tmp_path, "step begins")) > 1:
                 # The board says that it moves, and soon that it does not.
                 swallowed.append(at_s)
@@ -409,7 +398,7 @@ def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
                 return
             jog(at_s, goal, rate_dps)
 
-        def says_that_it_moves() -> float:
+        def says_that_it_moves():
             now = runner.clock.now()
             return now if swallowed and now < swallowed[0] + 0.3 else looks()
 
@@ -421,14 +410,14 @@ def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
     was_executed(tmp_path)
 
 
-def test_attempts_that_the_run_refused_are_no_data() -> None:
+def test_attempts_that_the_run_refused_are_no_data():
     """The step 1 is refused while step 2 is under way, twice; the second time the run ends with that."""
 
-    def step(number: int, time_s: float) -> list[Event]:
+    def step(number, time_s):
         begins = {"number": number, "begins_s": time_s, "data": True}
         return [Event(time_s, "step", {"number": number}), Event(time_s, "step begins", begins)]
 
-    def refused(time_s: float) -> list[Event]:
+    def refused(time_s):
         return [*step(1, time_s), *step(2, time_s + 10.0), Event(time_s + 10.4, "not done", {"number": 1, "why": ""})]
 
     first = [Event(0.0, "session", {"number": 0, "simulated": False, "wall_clock_s": 0.0}), *step(0, 10.0)]
@@ -444,10 +433,10 @@ def test_attempts_that_the_run_refused_are_no_data() -> None:
 
 
 @pytest.mark.parametrize("call", ["write", "fsync"])
-def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path: Path, monkeypatch: Any, call: str) -> None:
+def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path, monkeypatch, call):
     began, hangs, real = threading.Event(), threading.Event(), getattr(os, call)
 
-    def stuck(*args: Any) -> Any:
+    def stuck(*args):
         began.set()
         hangs.wait(20.0)
         return real(*args)
@@ -468,7 +457,7 @@ def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path: Path, mo
     assert [chunk.data for chunk in chunks_of(read_journal(tmp_path / "journal"), "unit1")] == [b"a", b"b"]
 
 
-def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_path, monkeypatch):
     with running(tmp_path, STANDS, limits=InterlockLimits(free_bytes=1 << 60)) as (_, runner):
         result = runner.run()
         assert result.exit_status == "aborted"
@@ -480,7 +469,7 @@ def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_pat
         time.sleep(0.5)
         assert read_status(tmp_path)["state"] == "running"
 
-        def full(*_: Any) -> None:
+        def full(*_):
             raise OSError(errno.ENOSPC, "No space left on device")
 
         monkeypatch.setattr(supervision, "write_whole", full)
@@ -488,11 +477,11 @@ def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_pat
     assert (read_status(tmp_path)["state"], read_status(tmp_path)["reason"]) == ("safe", "the disk is full")
 
 
-def counted(port: Wire, lost: int = -1) -> list[bytes]:
+def counted(port, lost=-1):
     """What a port's device is told from now on; of it the command of the number `lost` never arrives."""
-    heard: list[bytes] = []
+    heard = []
 
-    def apply(message: bytes) -> list[tuple[float, bytes]]:
+    def apply(message):
         heard.append(message)
         return [] if len(heard) - 1 == lost else [(0.0, message)]
 
@@ -501,7 +490,7 @@ def counted(port: Wire, lost: int = -1) -> list[bytes]:
 
 
 @pytest.mark.evidence
-def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
+def test_nothing_ends_done_that_was_not_done(tmp_path):
     """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep, axes that run away.
 
     A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
@@ -514,7 +503,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
     sizes = dict(zip(("chamber", "table"), map(len, told), strict=True))
     mishaps = [(name, int(random.integers(size))) for name, size in sizes.items() for _ in range(8)]
     mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)] + [("run-away axis", 0)] * 2
-    ended: collections.Counter[tuple[str, str]] = collections.Counter()
+    ended = collections.Counter()
     for number, (what, size) in enumerate(mishaps):
         folder = tmp_path / f"run{number}"
         with running(folder, short_track()) as (rig, runner):

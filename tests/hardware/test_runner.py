@@ -5,8 +5,6 @@ import os
 import signal
 import socket
 import threading
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from hardware_bench import (
     short_recipe,
     short_track,
 )
-from simulated_devices.faults import Faults, Spoils
+from simulated_devices.faults import Faults
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import RealClock
@@ -33,7 +31,6 @@ from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.guard import make_safe
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, join
-from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 from gradcal_jax.records.clockmap import fit_arrivals, last_of_chunks
@@ -48,13 +45,13 @@ MOVES = (TURN, BACK, SPIN, AxisCommand(26.0, "table", "stop"))
 TRACK = Track((SOAK, TrackStep("ramp", 35.0, courses=(Course(0.0, 26.0, 1.0),), moves=MOVES)))
 
 
-def states(folder: Path) -> list[str]:
+def states(folder):
     return [event.data["state"] for event in events(folder, "state")]
 
 
-def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:
+def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path):
     with running(tmp_path, TRACK, perfect(clock_error=80e-6, scale_factor=1e-3)) as (rig, runner):
-        shown: list[RunProgress] = []
+        shown = []
         runner.on_progress = shown.append
         result = runner.run()
         assert (result.exit_status, result.reason, result.steps_done) == ("success", "", 2)
@@ -97,7 +94,7 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
 # ------------------------------------------------------------------------------------------------- what does not begin
 
 
-def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> None:
+def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path):
     wrong = AxisCommand(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
     fast = TrackStep("fast", 10.0, moves=(wrong,))
     with running(tmp_path, Track((TrackStep("hot", 10.0, courses=(Course(0.0, 190.0),)), fast))) as (rig, runner):
@@ -111,7 +108,7 @@ def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> Non
     assert events(tmp_path, "move") == []
 
 
-def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
+def test_limits_of_travel_and_ramps_are_part_of_the_dry_run():
     axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001)
     chamber = ChamberLimits(-40.0, 85.0, True, 0.1, 3.0)
     good = AxisCommand(0.0, "a", "turn", 170.0, 50.0, 50.0)
@@ -139,9 +136,7 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     ],
     ids=["alarm", "fault", "mute board", "unit", "silent unit", "chamber"],
 )
-def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
-    tmp_path: Path, harm: Any, words: str, unsafe: set[str]
-) -> None:
+def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(tmp_path, harm, words, unsafe):
     with running(tmp_path, TRACK, safe_deadline_s=5.0) as (rig, runner):
         acting(runner, (in_step(1), lambda: harm(rig)), every_s=0.5)
         result = runner.run()
@@ -154,14 +149,14 @@ def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
     assert read_journal(tmp_path / "journal").events[-1].name == "end"
 
 
-def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
+def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path):
     track = Track((TrackStep("soak", 10.0, 120.0, Stable(0.2, 60.0, 300.0)),))
     with running(tmp_path, track, with_unit=False) as (_, runner):
         ends_aborted(runner, "not stable within 0.2 K of 120 degC after 300 s")
 
 
 @pytest.mark.parametrize(("sent", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
-def test_signals_end_a_run_safely(tmp_path: Path, sent: signal.Signals, reason: str) -> None:
+def test_signals_end_a_run_safely(tmp_path, sent, reason):
     with running(tmp_path, TRACK) as (_, runner), signals_to(runner):
         acting(runner, (in_step(0), lambda: os.kill(os.getpid(), sent)), every_s=5.0)
         result = runner.run()
@@ -171,9 +166,7 @@ def test_signals_end_a_run_safely(tmp_path: Path, sent: signal.Signals, reason: 
 
 
 @pytest.mark.parametrize(("begins", "ends"), [("Alarm", "success"), ("Idle", "aborted")])
-def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(
-    tmp_path: Path, begins: str, ends: str
-) -> None:
+def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(tmp_path, begins, ends):
     with running(tmp_path, Track((TrackStep("stand", 60.0),))) as (rig, runner):
         rig.table._state = begins
         acting(runner, (in_step(0), lambda: setattr(rig.table, "_state", "Alarm")))
@@ -186,7 +179,7 @@ def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(
 # ------------------------------------------------------------------------------------------------------------- chamber
 
 
-def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> None:
+def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path):
     warm = TrackStep("warmer", 5.0, courses=(Course(0.0, 30.0),))
     soak = TrackStep("soak", 5.0, 25.0, Stable(0.5, 5.0, 3600.0))
     with running(tmp_path, Track((soak, warm))) as (rig, runner):
@@ -197,7 +190,7 @@ def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> Non
     assert told[1].time_s - begins[1].data["begins_s"] < 10.0
 
 
-def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> None:
+def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path):
     """The end comes while the chamber is being told its ramp, which takes it seconds."""
     track = Track((TrackStep("ramp", 60.0, courses=(Course(0.0, 25.0), Course(10.0, 40.0, 1.0))),))
     with running(tmp_path, track) as (rig, runner):
@@ -211,7 +204,7 @@ def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> No
 # -------------------------------------------------------------------------------------------------- what a check says
 
 
-def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same() -> None:
+def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same():
     """A socket that accepts and says nothing, in the place of a chamber whose limits stand in its description."""
     with socket.create_server(("127.0.0.1", 0)) as mute:
         options = {"protocol": "cts", "reply_timeout": "0.1 s"}
@@ -224,7 +217,7 @@ def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same
 # ---------------------------------------------------------------------------------------------------------- messages
 
 
-def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_that_never_began_is_not_called_sound(tmp_path, capsys):
     with Rig(RealClock()) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
         tables["axis"][0]["serial_number"] = "another one"
@@ -237,7 +230,7 @@ def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pyte
     assert "sound" not in said
 
 
-def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
+def test_a_cable_that_is_in_again_is_used_to_make_safe():
     clock = RealClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
         bench.axes["table"].home()
@@ -256,13 +249,13 @@ def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
 # ------------------------------------------------------------------------------------------------------ late answers
 
 
-def late(delay_s: float, begins: bytes = b"") -> Spoils:
+def late(delay_s, begins=b""):
     """Messages that begin so come so many seconds after they were sent."""
     return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
 
 
-def test_late_replies_are_said(tmp_path: Path) -> None:
-    seen: list[str] = []
+def test_late_replies_are_said(tmp_path):
+    seen = []
     with running(tmp_path, short_track()) as (rig, runner):
         rig.ports[0].faults = late(3.4)
         acting(runner, (lambda progress: bool(progress.remarks), lambda: runner.abort("enough")))

@@ -5,8 +5,6 @@ import json
 import os
 import sys
 import time
-from pathlib import Path
-from typing import Any
 
 import pytest
 from hardware_bench import Rig, short_recipe
@@ -17,7 +15,7 @@ from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.records.run_log import log
-from gradcal_jax.spec.rig import RigFile, rig_of
+from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.writing import write_toml
 
 SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
@@ -26,20 +24,20 @@ ALARM = [sys.executable, "-c", "import sys; open(sys.argv[1], 'a').write(sys.arg
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Path:
+def made(tmp_path):
     write_toml(short_recipe(changes=SLOWER), tmp_path / "recipe.toml")
     return tmp_path / "recipe.toml"
 
 
-def with_alarm(rig: RigFile, heard: Path) -> RigFile:
+def with_alarm(rig, heard):
     return rig_of(rig.model_dump(mode="json", exclude_unset=True) | {"alarm": {"command": [*ALARM, str(heard)]}})
 
 
-def commands(lab: Rig) -> list[str]:
+def commands(lab):
     return [text for text in lab.chamber.commands if not text.endswith("?") and "?," not in text]
 
 
-def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: Path, tmp_path: Path, capsys) -> None:
+def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made, tmp_path, capsys):
     with Rig(RealClock()) as lab:
         write_toml(lab.rig, tmp_path / "rig.toml")
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]
@@ -62,14 +60,12 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: P
 
 
 class Keyboard(io.StringIO):
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
 @pytest.mark.parametrize(("keyboard", "words"), [(Keyboard, "nothing was moved"), (io.StringIO, "with --yes")])
-def test_the_list_is_confirmed_or_nothing_begins(
-    made: Path, tmp_path: Path, capsys, monkeypatch, keyboard, words
-) -> None:
+def test_the_list_is_confirmed_or_nothing_begins(made, tmp_path, capsys, monkeypatch, keyboard, words):
     with Rig(RealClock()) as lab:
         write_toml(with_alarm(lab.rig, tmp_path / "heard"), tmp_path / "rig.toml")
         monkeypatch.setattr(sys, "stdin", keyboard("no\n"))
@@ -83,14 +79,14 @@ def test_the_list_is_confirmed_or_nothing_begins(
         assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
 
 
-def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: Path, capsys) -> None:
+def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path, capsys):
     clock = VirtualClock()
-    seen: list[dict[str, Any]] = []
+    seen = []
     with Rig(clock) as lab:
         about = {"operator": "A. Person", "note": "second try"}
         run = new_folder(tmp_path / "run", short_recipe(2.0, changes=SLOWER), lab.rig, simulated={}, about=about)
 
-        def look(progress: Any) -> None:
+        def look(progress):
             # The file is replaced whole: whoever reads it at any time finds all of it.
             if (run.path / "status.json").exists():
                 seen.append(read_status(run.path))
@@ -116,13 +112,13 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
     assert "not the folder of a run" in capsys.readouterr().err
 
 
-def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Path) -> None:
+def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path):
     clock = VirtualClock()
     with Rig(clock) as lab:
         rig = with_alarm(lab.rig, tmp_path / "heard")
         run = new_folder(tmp_path / "run", short_recipe(2.0, changes=SLOWER), rig, simulated={})
 
-        def alarm(progress: Any) -> None:
+        def alarm(progress):
             if progress.steps_done == 1:
                 lab.chamber.raise_alarm(18)
 
@@ -134,7 +130,7 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
     assert read_status(run.path)["exit_status"] == "aborted"
 
 
-def wait_for(path: Path) -> str:
+def wait_for(path):
     end = time.monotonic() + 20.0
     while not (path.exists() and os.path.getsize(path)) and time.monotonic() < end:
         time.sleep(0.1)

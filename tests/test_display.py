@@ -75,7 +75,7 @@ def test_the_repr_of_every_public_class_fits_whatever_it_holds(kind):
 
 
 def test_results_of_functions_are_among_the_classes():
-    assert len(public_classes()) >= 22
+    assert len(public_classes()) >= 21
 
 
 @pytest.mark.parametrize("preset", ["paper-dynamic-gradient", "paper-static-standard", "two-axis-table"])
@@ -91,7 +91,7 @@ def test_specs_predictions_and_recipes_show_what_they_are(preset):
     if preset == "paper-dynamic-gradient":
         recipe = gj.make_recipe(spec)
         assert fits(recipe).startswith("Recipe: Berman")
-        assert str(recipe).count("\n") > 30
+        assert str(recipe).count("\n") > 20
 
 
 def test_a_repr_imports_nothing_heavy():

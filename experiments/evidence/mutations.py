@@ -72,8 +72,8 @@ FAULTS = (
     Fault(
         "a turn's duration is rounded down, beyond the axis's acceleration",
         "recipe/rounding.py",
-        'duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)',
-        'duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_FLOOR)',
+        'lasts = self.to("time", size / peak + max(ramp, least), ROUND_CEILING)',
+        'lasts = self.to("time", size / peak + max(ramp, least), ROUND_FLOOR)',
         "tests/recipe",
     ),
     Fault(
@@ -156,8 +156,8 @@ FAULTS = (
     Fault(
         "a negative number of 24 bits is read as a positive one",
         "hardware/frames.py",
-        "return np.where(negative, value - (1 << 24), value)",
-        "return value",
+        'return wide.view(f"{end}{kind}4")[..., 0] >> 8',
+        'return wide.view(f"{end}u4")[..., 0] >> 8',
         "tests/hardware/test_frames.py",
     ),
     Fault(
@@ -177,8 +177,8 @@ FAULTS = (
     Fault(
         "angles of a track are rates times time, without the half of the trapezoid",
         "records/alignment.py",
-        "np.cumsum(0.5 * steps * (self.rate_dps[1:] + self.rate_dps[:-1]))",
-        "np.cumsum(steps * (self.rate_dps[1:] + self.rate_dps[:-1]))",
+        "np.cumsum(0.5 * steps * (rates[1:] + rates[:-1]), axis=0)",
+        "np.cumsum(steps * (rates[1:] + rates[:-1]), axis=0)",
         "tests/records/test_alignment.py",
     ),
     Fault(

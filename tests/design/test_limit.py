@@ -8,7 +8,7 @@ import copy
 
 import numpy as np
 import pytest
-from random_plans import KINDS, SCALE, plan_of
+from random_plans import SCALE, plan_of
 
 from gradcal_jax.design.noise_floor import least_noise_density
 from gradcal_jax.design.plan_limit import limit
@@ -101,9 +101,9 @@ def test_no_plan_is_below_its_limit(kind, seed):
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("part", range(10))
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_plan_of_five_hundred_cases_is_below_its_limit(kind, part):
+@pytest.mark.parametrize(("kind", "part"), [*(("axis", part) for part in range(10)), ("unit", 0), ("unit", 1)])
+def test_no_plan_of_six_hundred_is_below_its_limit(kind, part):
+    """500 of a gyro's axis; 100 of a unit, whose limit takes some seconds."""
     cases = [check(kind, seed) for seed in range(50 * part, 50 * (part + 1))]
     refused = {said for said, _ in cases if said != "held"}
     held = [least for said, least in cases if said == "held" and np.isfinite(least)]

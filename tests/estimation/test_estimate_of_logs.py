@@ -255,7 +255,7 @@ def test_what_a_log_lacks_is_a_sentence():
         estimated(spec, replace(log, standstill=np.full(len(log.time_s), -1)))
     with pytest.raises(LogError, match="no table angle"):
         estimated(spec, replace(log, table_axes=(), table_angle_rad=None))
-    with pytest.raises(LogError, match="no axis 'roll'"):
+    with pytest.raises(LogError, match="no gyro roll"):
         estimated(spec, log, axis="roll")
     standard = spec_of(STANDARD)
     with pytest.raises(ValueError, match="none of the plan's points"):

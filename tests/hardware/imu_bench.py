@@ -103,10 +103,12 @@ def estimated(
     rows, _ = imu_rows(built, [log], log.units[0], options)
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
-    done, readings, found, _ = fit_readings(built, log.units[0], rows, log.temperature_c[0])
+    fit = fit_readings(built, log.units[0], rows, log.temperature_c[0])
+    readings, found = fit.readings, fit.solution
     steps, _ = readings.linear(found.parameters)
     used = np.asarray(steps.used)
-    apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)
+    apart = readings.observed - readings.expected(found.parameters)
+    apart = np.where(segments_of(readings.done.motion, model).used, apart, 0.0)
     prior = model.prior_rows()
     chi_squared = float(np.sum(np.asarray(whiten(steps, apart[:, None]))[used] ** 2))
     chi_squared += float(np.sum((prior @ found.parameters) ** 2))

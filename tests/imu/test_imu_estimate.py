@@ -106,7 +106,8 @@ def test_scale_factors_do_not_tell_how_a_case_hangs(seed, sensitivity):
     truth = draw_truth(spec, rng)
     logs, built = record(spec, truth, rng, lever=(0.03, -0.02, 0.01)), build_imu(spec)
     rows, _ = imu_rows(built, logs, "SN7", Options())
-    _, readings, found, _ = fit_readings(built, "SN7", rows, rows.temperature_c)
+    fit = fit_readings(built, "SN7", rows, rows.temperature_c)
+    readings, found = fit.readings, fit.solution
     steps, _ = readings.linear(found.parameters)
     used = segments_of(readings.done.motion, built.model).used
 

@@ -57,7 +57,7 @@ def test_a_prediction_is_read_validated_and_written_as_json():
     jsonschema.validate(written, schema("prediction"))
     assert Prediction.model_validate(written) == found
     with pytest.raises(ValueError, match="missing"):
-        Prediction.model_validate({key: value for key, value in PREDICTION.items() if key != "requirements"})
+        Prediction.model_validate({key: value for key, value in PREDICTION.items() if key != "duration_s"})
 
 
 def test_unknown_names_get_a_sentence():

@@ -146,7 +146,7 @@ class Rig:
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)
-        self.axis = axis
+        self.axis, self.clock = axis, clock
         self.table = SimulatedGrbl(axis, clock)
         self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
         self.imu = SimulatedFrames(self.sensor, clock, burst_s=burst_s)
@@ -157,6 +157,9 @@ class Rig:
             text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
         self.rig = parse_rig(text)
         self.rig.axis[0].options["changes"] = BOARD_CHANGES
+
+    def rate_dps(self) -> float:
+        return self.axis.state(self.clock.now())[1]
 
     def __enter__(self) -> "Rig":
         return self
@@ -243,26 +246,38 @@ def ends_aborted(runner: Runner, *words: str) -> RunResult:
     return result
 
 
-Act = tuple[Callable[[RunProgress], bool], Callable[[], Any]]
-
-
-def acting(runner: Runner, *acts: Act, every_s: float = 1.0) -> None:
-    """Act from within the run, each the first time that its progress, shown each `every_s`, is so."""
-    left = list(acts)
+def acting(runner: Runner, when: Callable[[RunProgress], bool], act: Callable[[], Any], every_s: float = 1.0) -> None:
+    """Act from within the run, the first time that its progress, shown each `every_s`, is so."""
+    acts = [act]
 
     def look(progress: RunProgress) -> None:
-        for act in [act for act in left if act[0](progress)]:
-            left.remove(act)
-            act[1]()
+        if acts and when(progress):
+            acts.pop()()
 
     runner.chamber_every_s = every_s
     runner.on_progress = look
 
 
-def in_step(number: int) -> Callable[[RunProgress], bool]:
+def struck(
+    folder: Path,
+    track: Track,
+    when: Callable[[RunProgress, Rig], bool],
+    harm: Callable[[Rig], Any],
+    *words: str,
+    ready: Callable[[Rig], Any] = lambda rig: None,
+    every_s: float = 1.0,
+    **more: Any,
+) -> tuple[Rig, RunResult, float]:
+    """A run that harm befalls, once its progress is so: its rig, how it ended, and the time of the harm (s). With words:
+    it ends aborted and safe, and says so."""
+    with running(folder, track, **more) as (rig, runner):
+        struck_s = list[float]()
+        ready(rig)
+        acting(runner, partial(when, rig=rig), lambda: (struck_s.append(rig.clock.now()), harm(rig)), every_s)
+        result = ends_aborted(runner, *words) if words else runner.run()
+    return rig, result, struck_s[0]
+
+
+def in_step(number: int) -> Callable[..., bool]:
     """Once the step of this number has begun."""
-    return lambda progress: progress.steps_done == number and progress.step_left_s is not None
-
-
-def at(runner: Runner, time_s: float) -> Callable[[RunProgress], bool]:
-    return lambda progress: runner.clock.now() >= time_s
+    return lambda progress, rig=None: progress.steps_done == number and progress.step_left_s is not None

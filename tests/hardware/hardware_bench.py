@@ -17,6 +17,7 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 from simulated_devices.wire import Wire, line_to
 
+from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import Clock, VirtualClock
 from gradcal_jax.hardware.drivers import lines, registers
 from gradcal_jax.hardware.interlocks import InterlockLimits
@@ -39,9 +40,10 @@ from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.spec.spec import Spec, parse_spec
 from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.writing import write_toml
 
 # The simulated board takes accelerations that no stepper motor does, so that tests are short, and starts at once.
 BOARD_CHANGES: dict[str, Any] = {
@@ -134,6 +136,24 @@ def sensor_on_table(
         seed=seed,
         start_s=clock.now(),
     )
+
+
+def chamber_alone(protocol: str, *, port: str = "COM1", options: Any = (), **more: Any) -> RigFile:
+    """A rig file of one chamber."""
+    table = {"driver": "lines", "port": port, "safe": "standby", "options": {"protocol": protocol} | dict(options)}
+    return rig_of({"format": "gradcal-rig/1", "chamber": table | more})
+
+
+def rig_with(rig: RigFile, **tables: Any) -> RigFile:
+    """A rig file with other tables."""
+    return rig_of(rig.model_dump(mode="json", exclude_unset=True) | tables)
+
+
+def gradcal_run(folder: Path, rig: RigFile, *words: str) -> int:
+    """`gradcal run` of a short recipe."""
+    write_toml(short_recipe(), folder / "recipe.toml")
+    write_toml(rig, folder / "rig.toml")
+    return main(["run", str(folder / "recipe.toml"), "--rig", str(folder / "rig.toml"), *words])
 
 
 class Rig:
@@ -268,7 +288,7 @@ def struck(
     every_s: float = 1.0,
     **more: Any,
 ) -> tuple[Rig, RunResult, float]:
-    """A run that harm befalls, once its progress is so: its rig, how it ended, and the time of the harm (s). With words:
+    """A run that harm befalls, once its progress is so: its rig, its end, and the time of the harm (s). With words:
     it ends aborted and safe, and says so."""
     with running(folder, track, **more) as (rig, runner):
         struck_s = list[float]()

@@ -16,11 +16,21 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hardware_bench import acting, chunks_of, ends_aborted, events, in_step, running, short_recipe, short_track, struck
+from hardware_bench import (
+    acting,
+    chamber_alone,
+    chunks_of,
+    ends_aborted,
+    events,
+    gradcal_run,
+    in_step,
+    running,
+    short_track,
+    struck,
+)
 from hardware_evidence import record
 from simulated_devices.faults import Faults
 
-from gradcal_jax.cli import main
 from gradcal_jax.hardware import journal, supervision
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
@@ -35,7 +45,6 @@ from gradcal_jax.hardware.unit_control import ExecutedStep, SampleLosses
 from gradcal_jax.records.sessions import sessions_of
 from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.writing import write_toml
 
 READY = Stable(0.5, 20.0, 7200.0)
 HOT = Track((TrackStep("hot", 300.0, 40.0, READY),))
@@ -144,33 +153,24 @@ def test_a_chamber_that_was_switched_off_ends_the_run_and_is_not_started_again(t
 
 
 def test_limits_of_the_rig_file_reach_the_run():
-    chamber = {"driver": "lines", "options": {"protocol": "espec"}, "port": "COM1", "safe": "standby"}
-    chamber |= {"never_above": "80 degC", "never_below": "-45 degC"}
-    found = limits_of(rig_of({"format": "gradcal-rig/1", "chamber": chamber}))
+    found = limits_of(chamber_alone("espec", never_above="80 degC", never_below="-45 degC"))
     assert (found.never_above_c, found.never_below_c) == pytest.approx((80.0, -45.0))
     with pytest.raises(SpecError, match="never_above"):
-        rig_of({"format": "gradcal-rig/1", "chamber": chamber | {"never_above": "10 degC"}})
+        chamber_alone("espec", never_above="10 degC", never_below="-45 degC")
 
 
+AXIS = {"name": "a", "driver": "lines", "port": "COM1", "safe": "unpower", "gravity_loaded": False}
+UNTOLD = {"changes": {"tell": {"on": False, "off": False}}}
 WITHOUT = {
-    "no [tell] on and off": (
-        '[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n'
-        'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }\n'
-    ),
-    "lacks [tell.off]": (
-        '[[axis]]\nname = "a"\ndriver = "lines"\nport = "COM1"\nsafe = "unpower"\ngravity_loaded = false\n'
-        'options = { protocol = "grbl" }\n'
-    ),
+    "no [tell] on and off": chamber_alone("watlow-f4", driver="registers", options=UNTOLD),
+    "lacks [tell.off]": rig_of({"format": "gradcal-rig/1", "axis": [AXIS | {"options": {"protocol": "grbl"}}]}),
 }
 
 
 @pytest.mark.parametrize("words", WITHOUT)
 def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words, tmp_path, capsys):
-    rig, recipe = tmp_path / "rig.toml", tmp_path / "recipe.toml"
-    rig.write_text('format = "gradcal-rig/1"\n' + WITHOUT[words])
-    write_toml(short_recipe(), recipe)
     # Not that nobody answers: nobody is asked.
-    assert main(["run", str(recipe), "--rig", str(rig), "-o", str(tmp_path / "run"), "--yes"]) == 2
+    assert gradcal_run(tmp_path, WITHOUT[words], "-o", str(tmp_path / "run"), "--yes") == 2
     said = capsys.readouterr().err
     assert "this device does not support this safe state" in said
     assert words in said

@@ -34,7 +34,7 @@ from gradcal_jax.hardware.simulate.imu import (
     TriadTruth,
     own_input,
 )
-from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.recipe.tracks import Stability
@@ -76,35 +76,25 @@ def lines_config(protocol: str, **more: Any) -> lines.LinesConfig:
 
 
 def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
-    """A context with the driver, its simulated device, and the port between them."""
+    """A context with the driver, its simulated device, the port between them, and their clock."""
 
     @contextmanager
-    def bench(
-        clock: Clock, options: Any = None, config: Any = None, truth: Any = None, **port_options: Any
-    ) -> Iterator[tuple[Any, Any, Wire]]:
-        more = options if isinstance(options, dict) else {} if options is None else {"options": options}
-        device = simulated(plant_of(truth, clock), clock, **more)
-        config = config or config_of()
+    def bench(config: Any = None, **port_options: Any) -> Iterator[tuple[Any, Any, Wire, Clock]]:
+        clock, config = VirtualClock(), config or config_of()
+        device = simulated(plant_of(), clock)
         with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):
-            yield config.device(config.link(transport, clock), clock), device, port
+            yield config.device(config.link(transport, clock), clock), device, port, clock
 
     return bench
 
 
-def _chamber(truth: ChamberTruth | None, clock: Clock) -> ChamberPlant:
-    return ChamberPlant(truth or ChamberTruth(), clock.now())
-
-
-def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
-    return AxisPlant(truth, clock.now())
-
-
-espec_bench = _bench(SimulatedEspec, _chamber, espec_config)
+chamber_plant = partial(ChamberPlant, ChamberTruth())
 _F4T = registers.RegistersConfig(protocol="watlow-f4t", reply_timeout="0.2 s")
-f4t_bench = _bench(SimulatedWatlowF4T, _chamber, lambda: _F4T)
-cts_bench = _bench(SimulatedCts, _chamber, partial(lines_config, "cts"))
-grbl_bench = _bench(SimulatedGrbl, _axis, partial(lines_config, "grbl"))
-aerosmith_bench = _bench(SimulatedAerosmith, _axis, partial(lines_config, "aerosmith-like"))
+espec_bench = _bench(SimulatedEspec, chamber_plant, espec_config)
+f4t_bench = _bench(SimulatedWatlowF4T, chamber_plant, lambda: _F4T)
+cts_bench = _bench(SimulatedCts, chamber_plant, partial(lines_config, "cts"))
+grbl_bench = _bench(SimulatedGrbl, AxisPlant, partial(lines_config, "grbl"))
+aerosmith_bench = _bench(SimulatedAerosmith, AxisPlant, partial(lines_config, "aerosmith-like"))
 
 
 EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
@@ -130,7 +120,7 @@ def sensor_on_table(
     return SimulatedImu(
         truth or perfect(),
         TableTruth(((0.0, 0.0, 1.0),), np.pi / 4.0, STANDARD_GRAVITY),
-        chamber or ChamberPlant(ChamberTruth(), clock.now()),
+        chamber or chamber_plant(clock.now()),
         [axis or AxisPlant(None, clock.now())],
         sample_rate_hz=sample_rate_hz,
         seed=seed,

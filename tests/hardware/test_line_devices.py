@@ -10,10 +10,8 @@ from hardware_bench import (
     grbl_bench,
     lines_config,
 )
-from simulated_devices.espec import EspecOptions
 from simulated_devices.faults import Faults
 
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import (
     DeviceFault,
     Disconnected,
@@ -80,8 +78,7 @@ def use_axis(axis, device, clock, number):
 
 @of_chambers
 def test_every_chamber_holds_settles_and_goes_safe(bench):
-    clock = VirtualClock()
-    with bench(clock) as (chamber, device, port):
+    with bench() as (chamber, device, port, clock):
         limits = chamber.limits()
         assert not chamber.read().conditioning
         use_chamber(chamber, device, clock, 0)
@@ -111,7 +108,7 @@ def test_every_chamber_holds_settles_and_goes_safe(bench):
 
 @of_chambers
 def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench):
-    with bench(VirtualClock()) as (chamber, _, port):
+    with bench() as (chamber, _, port, _):
         port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout, match=f"{port.url} was sent .*did not answer"):
             chamber.read()
@@ -124,8 +121,7 @@ def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench):
 
 @pytest.mark.parametrize("bench", [cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench):
-    clock = VirtualClock()
-    with bench(clock) as (chamber, device, _):
+    with bench() as (chamber, device, _, clock):
         chamber.hold(-20.0)
         clock.sleep(5400.0)
         # The second from within the first, downwards.
@@ -146,16 +142,9 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench):
         assert getattr(device, "up", 999.9) == getattr(device, "down", 999.9) == 999.9
 
 
-def test_an_espec_with_address_alarms_and_an_old_controller():
-    clock = VirtualClock()
-    config = espec_config(line={"prefix": "3,"}, ask={"mode": {"send": "MODE?"}})
-    options = EspecOptions(address=3, old=True)
-    with espec_bench(clock, options, config) as (chamber, device, _):
+def test_a_program_at_the_panel_ends_with_a_set_point_and_alarms_are_read():
+    with espec_bench() as (chamber, device, _, clock):
         assert chamber.identify().model == "ESPEC P300"
-        chamber.hold(30.0)
-        clock.sleep(3600.0)
-        assert chamber.read().air_c == pytest.approx(30.0, abs=0.6)
-        # Somebody starts a program at the panel: a set point ends it.
         device.run_program(60.0)
         assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
         chamber.hold(40.0)
@@ -163,12 +152,11 @@ def test_an_espec_with_address_alarms_and_an_old_controller():
         with pytest.raises(Rejected, match="steps of the set point"):
             chamber.ramp(50.0, 1.0)
         device.raise_alarm(18)
-        reading = chamber.read()
-        assert (reading.alarms, reading.conditioning) == (("18",), False)
+        assert (chamber.read().alarms, chamber.read().conditioning) == (("18",), False)
 
 
 def test_what_an_espec_refuses_or_only_acknowledges_is_said():
-    with espec_bench(VirtualClock()) as (chamber, device, port):
+    with espec_bench() as (chamber, device, port, _):
         device._enter = lambda mode: None  # local mode at the panel: it says OK and stays as it is
         with pytest.raises(NotVerified, match="read-back"):
             chamber.hold(30.0)
@@ -179,7 +167,7 @@ def test_what_an_espec_refuses_or_only_acknowledges_is_said():
 
 def test_a_lost_acknowledgement_repeats_no_command():
     faults = Faults()
-    with espec_bench(VirtualClock(), faults=faults) as (chamber, device, _):
+    with espec_bench(faults=faults) as (chamber, device, *_):
         chamber.hold(20.0)
         device.commands.clear()
         # Questions before the command: limits, mode; the third message is the acknowledgement.
@@ -192,8 +180,7 @@ def test_a_lost_acknowledgement_repeats_no_command():
 
 
 def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first():
-    clock = VirtualClock()
-    with f4t_bench(clock) as (chamber, device, _):
+    with f4t_bench() as (chamber, device, _, clock):
         # Somebody wrote a set point beforehand, to a loop that is off.
         device.put(2782, -30.0)
         assert (chamber.read().conditioning, chamber.read().setpoint_c) == (False, 23.0)
@@ -219,8 +206,7 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
 
 @of_axes
 def test_every_axis_homes_turns_spins_and_stops(bench):
-    clock = VirtualClock()
-    with bench(clock) as (axis, device, _):
+    with bench() as (axis, device, _, clock):
         with pytest.raises(DeviceFault):
             axis.move_to(10.0, 50.0, 100.0)
         axis.home()
@@ -252,8 +238,8 @@ def test_every_axis_homes_turns_spins_and_stops(bench):
 
 
 def test_direction_and_zero_of_the_rig_file():
-    clock, config = VirtualClock(), lines_config("aerosmith-like", direction=-1, zero="90 deg")
-    with aerosmith_bench(clock, config=config) as (axis, device, _):
+    config = lines_config("aerosmith-like", direction=-1, zero="90 deg")
+    with aerosmith_bench(config) as (axis, device, _, clock):
         axis.home()
         assert axis.read().position_deg == 90.0
         axis.move_to(120.0, 50.0, 100.0)
@@ -268,8 +254,8 @@ def test_direction_and_zero_of_the_rig_file():
 @of_axes
 def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench, monkeypatch):
     """Of a device whose position comes with its state, and of one that is asked for it."""
-    clock, late = VirtualClock(), [0.3]
-    with bench(clock) as (axis, _, _):
+    late = [0.3]
+    with bench() as (axis, _, _, clock):
         axis.home()
         axis.spin(100.0, 200.0)
         clock.sleep(2.0)
@@ -288,8 +274,7 @@ def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench, monkeyp
 
 
 def test_grbl_that_restarted_has_no_reference_and_does_not_move():
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, port):
+    with grbl_bench() as (axis, device, port, clock):
         axis.home()
         axis.move_to(10.0, 50.0, 100.0)
         clock.sleep(5.0)
@@ -316,8 +301,7 @@ def test_grbl_that_restarted_has_no_reference_and_does_not_move():
 
 def test_grbl_stops_where_it_stands_and_its_settings_are_put_back():
     """A feed hold where nothing moves would lock the board; a cancelled jog does not."""
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, port):
+    with grbl_bench() as (axis, device, port, clock):
         axis.home()
         assert axis.safe("hold").verified
         assert axis.read().faults == ()
@@ -334,8 +318,7 @@ def test_grbl_stops_where_it_stands_and_its_settings_are_put_back():
 
 
 def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time():
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, _):
+    with grbl_bench() as (axis, device, _, clock):
         receive, heard = device.receive, []
 
         def deaf_at_first(data):
@@ -348,8 +331,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time():
 
 
 def test_a_rate_that_was_lost_lets_no_table_go_and_its_power_is_its_operators():
-    clock = VirtualClock()
-    with aerosmith_bench(clock) as (axis, device, _):
+    with aerosmith_bench() as (axis, device, _, clock):
         axis.home()
         receive = device.receive
         device.receive = lambda data: [b"\r\n>"] if data.startswith((b"VEL0", b"VEL5")) else receive(data)
@@ -380,10 +362,10 @@ def made_safe(driver, how):
 def test_lines_lost_doubled_damaged_and_late_once_and_always(bench, fault, way):
     """Commands, or replies, of a session: each in its turn suffers the fault, or all of them one of several."""
     often = dict.fromkeys(("drop", "truncate", "duplicate", "noise"), 0.04) if fault == "always" else {}
-    clock, faults = VirtualClock(), Faults(seed=5, delay_s=0.15, probability=often)
+    faults = Faults(seed=5, delay_s=0.15, probability=often)
     use, safe = (use_axis, "hold") if bench in AXES.values() else (use_chamber, "standby")
     refused = 0
-    with bench(clock, **{way: faults}) as (driver, device, _):
+    with bench(**{way: faults}) as (driver, device, _, clock):
         for number in range(12):
             # The other lines of the session pass: a line that is split is whole again.
             faults._next.clear()
@@ -410,7 +392,7 @@ def late(delay_s, begins=b""):
 
 
 def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
-    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+    with espec_bench(espec_config(pause="0 s")) as (chamber, _, port, _):
         port.faults = late(0.45)
         assert chamber._speaker.read("air")["air"] == "23.0"
         assert f"ESPEC at {port.url} was sent 'TEMP?" in port.late
@@ -421,7 +403,7 @@ def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
 
 def test_a_later_reply_counts_for_no_other_question():
     """The query fails, and what still comes is awaited before the next."""
-    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+    with espec_bench(espec_config(pause="0 s")) as (chamber, _, port, _):
         port.faults = late(1.4)
         with pytest.raises(ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise"):
             chamber._speaker.read("air")

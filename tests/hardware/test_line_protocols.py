@@ -10,8 +10,10 @@ import re
 import time
 import tomllib
 from contextlib import suppress
+from unittest.mock import Mock
 
 import pytest
+from hardware_bench import chamber_alone
 from hypothesis import given
 from hypothesis import strategies as st
 from simulated_devices.port import SimulatedPort
@@ -25,7 +27,6 @@ from gradcal_jax.hardware.line_protocol import LINES, LineProtocol
 from gradcal_jax.hardware.modbus import Rtu, Tcp, read_body, words_of, write_body
 from gradcal_jax.hardware.setup import configs_of, open_rig
 from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
-from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 
 # Question -> its bytes, and the bytes of a reply with the values in it.
@@ -103,10 +104,12 @@ def test_golden_messages(name):
         assert [codec.message(send, bare=command.bare) for send in sends] == expected
 
 
-def test_what_is_not_a_reply_of_an_espec():
+def test_what_is_a_reply_of_an_espec_and_what_is_not():
     codec = Codec(LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described)
     assert codec.message("MON?") == b"1,MON?\r\n"
     pattern = reply_pattern(described(LineProtocol, "espec").ask["temperature"].reply[0])
+    # Of an old controller: whole degrees, and blanks after commas.
+    assert any(map(pattern.fullmatch, codec.texts(b"26, 0, 140, -50\r\n")))
     for frame in (b"26.4,0.0,140.0", b"26.4,,140.0,-50.0", b"nan,0.0,140.0,-50.0", b"2\xb6.4,0,1,2", b"2\x016.4,0,1,2"):
         assert not any(map(pattern.fullmatch, codec.texts(frame + b"\r\n")))
 
@@ -268,21 +271,15 @@ def test_what_cannot_be_trusted_is_refused(name, change, expected):
 
 
 def test_a_description_of_the_other_role_is_refused():
-    chamber = {"driver": "lines", "port": "COM1", "safe": "hold", "options": {"protocol": "grbl"}}
     with pytest.raises(SpecError, match="describes an axis"):
-        configs_of(rig_of({"format": "gradcal-rig/1", "chamber": chamber}))
-
-
-class Silent:
-    def receive(self, data):
-        return []
+        configs_of(chamber_alone("grbl"))
 
 
 def test_a_line_is_as_the_description_has_it():
-    clock, options = RealClock(), {"protocol": "julabo", "changes": {"line": {"baudrate": 19200}}}
-    with SimulatedPort(Silent(), clock) as port:
-        chamber = {"driver": "lines", "port": port.url, "safe": "hold", "options": options}
-        with open_rig(rig_of({"format": "gradcal-rig/1", "chamber": chamber}), clock) as bench:
+    options = {"changes": {"line": {"baudrate": 19200}}}
+    with SimulatedPort(Mock(spec=["receive"]), RealClock()) as port:
+        rig = chamber_alone("julabo", port=port.url, options=options)
+        with open_rig(rig, RealClock()) as bench:
             line = bench.lines["chamber"]._port
             assert (line.bytesize, line.stopbits, line.parity, line.baudrate) == (7, 1, "E", 19200)
 
@@ -290,6 +287,6 @@ def test_a_line_is_as_the_description_has_it():
 @pytest.mark.parametrize("name", shipped(LINES))
 def test_a_set_point_starts_no_chamber(name):
     """Somebody who switched a chamber off at its panel finds it off."""
-    tell = tomllib.loads(protocol_text(name)).get("tell", {})
-    lines = {what: one["send"] if isinstance(one["send"], list) else [one["send"]] for what, one in tell.items()}
-    assert not set(lines.get("on", [])) & set(lines.get("setpoint", []))
+    tell = described(LineProtocol, name).tell
+    lines = {what: tell[what].send if what in tell else () for what in ("on", "setpoint")}
+    assert not {*lines["on"]} & {*lines["setpoint"]}

@@ -112,7 +112,7 @@ def test_air_that_leaves_its_limits_ends_a_run_in_every_state(tmp_path, state):
     limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=limit_c)
 
     def ready(rig):
-        rig.chamber.options.high_c, rig.table.homing_s = 70.0, 100.0
+        rig.chamber.high_c, rig.table.homing_s = 70.0, 100.0
 
     welds, words = partial(weld_on, k_per_min=k_per_min), "Interlock 'temperature limit'"
     rig, *_ = struck_alone(tmp_path, track, when, welds, words, ready=ready, limits=limits)

@@ -181,13 +181,11 @@ def test_a_console_has_one_answer_a_question_and_says_that_its_port_is_gone():
 
 
 def test_an_encoder_is_read_and_its_motor_is_left_alone():
-    clock = VirtualClock()
-    # The encoder's zero lies two turns away from where the gimbal's mark is.
-    plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
-    plant.set_zero(clock.now(), 720.0)
-    person = SimulatedPerson(clock, {"x": plant}, SimulatedHand())
-    with grbl_bench(clock) as (encoder, board, _):
-        board.plant = plant
+    with grbl_bench() as (encoder, board, _, clock):
+        # The encoder's zero lies two turns away from where the gimbal's mark is.
+        plant = board.plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
+        plant.set_zero(clock.now(), 720.0)
+        person = SimulatedPerson(clock, {"x": plant}, SimulatedHand())
         axis = operator.OperatorAxis(person, operator.OperatorConfig(), clock, "x", encoder)
         axis.home()
         while axis.read().moving:

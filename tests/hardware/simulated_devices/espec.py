@@ -5,24 +5,14 @@ its `OK`.
 """
 
 import re
-from dataclasses import dataclass
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 
-@dataclass
-class EspecOptions:
-    address: int | None = None
-    old: bool = False
-    """Without MODE?,DETAIL; with whole degrees, and blanks after commas."""
-    high_c: float = 140.0
-    low_c: float = -50.0
-
-
 class SimulatedEspec:
-    def __init__(self, plant: ChamberPlant, clock: Clock, options: EspecOptions | None = None) -> None:
-        self.plant, self.options, self._clock = plant, options or EspecOptions(), clock
+    def __init__(self, plant: ChamberPlant, clock: Clock, *, high_c: float = 140.0, low_c: float = -50.0) -> None:
+        self.plant, self.high_c, self.low_c, self._clock = plant, high_c, low_c, clock
         self._buffer, self.mode = b"", "STANDBY"
         self.constant_c = plant.truth.ambient_c
         self.alarms: list[int] = []
@@ -50,28 +40,22 @@ class SimulatedEspec:
         self.plant.switch(self._clock.now(), True)
 
     def _line(self, line: bytes) -> str:
-        text, options = line.decode("latin-1").strip(), self.options
-        if options.address is not None:
-            prefix, comma, text = text.partition(",")
-            if not comma or prefix.strip() != str(options.address):
-                return ""
+        text = line.decode("latin-1").strip()
         self.commands.append(text)
         if "?" in text:
-            reply = self._answer(text)
-            return reply.replace(",", ", ") if options.old else reply
+            return self._answer(text)
         refusal = self._command(text)
         return f"NA:{refusal}" if refusal else f"OK:{text}"
 
     def _answer(self, text: str) -> str:
-        now, places = self._clock.now(), 0 if self.options.old else 1
+        now = self._clock.now()
         set_point = self.plant.set_point_c(now) if self.mode == "RUN" else self.constant_c
-        temperatures = (self.plant.air_c(now), set_point, self.options.high_c, self.options.low_c)
+        temperatures = (self.plant.air_c(now), set_point, self.high_c, self.low_c)
         answers = {
             "ROM?": "P3S1.10",
             "TYPE?": "T,P300,140.0",
-            "MODE?": self.mode,
-            "MODE?,DETAIL": "NA:PARA ERR" if self.options.old else self.mode,
-            "TEMP?": ",".join(f"{value:.{places}f}" for value in temperatures),
+            "MODE?,DETAIL": self.mode,
+            "TEMP?": ",".join(f"{value:.1f}" for value in temperatures),
             "ALARM?": ",".join(map(str, [len(self.alarms), *self.alarms])),
         }
         return answers.get(text, "NA:CMD ERR")
@@ -79,7 +63,7 @@ class SimulatedEspec:
     def _command(self, text: str) -> str:
         """Execute a command and return an empty text; or return a refusal and change nothing."""
         if (match := re.fullmatch(r"TEMP, S(-?\d+(?:\.\d+)?)", text)) is not None:
-            if not self.options.low_c <= float(match[1]) <= self.options.high_c:
+            if not self.low_c <= float(match[1]) <= self.high_c:
                 return "DATA OUT OF RANGE"
             self.constant_c = round(float(match[1]), 1)
             if self.mode == "CONSTANT":

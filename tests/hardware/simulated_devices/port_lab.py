@@ -4,7 +4,7 @@ send frames."""
 from typing import Any, Self
 
 import numpy as np
-from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.port import FastClock, SimulatedPort
@@ -25,7 +25,7 @@ class SimulatedLab(lab.SimulatedLab):
     def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
         low_c, high_c = (float(end) for end in spec.rig.chamber.range)
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c + 5.0, low_c=low_c - 5.0))
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, high_c=high_c + 5.0, low_c=low_c - 5.0)
         boards = [board_of(plant, clock) for plant in self.axis_plants]
         self.table = boards[0]
         units = [

@@ -1,5 +1,6 @@
 """A short plan of a whole unit on a two-axis table, and its estimate from a log, for the tests of unit runs."""
 
+import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,6 +88,12 @@ def write(folder: Path) -> None:
     write_toml(recipe, folder / "recipe.toml")
     result = execute.run(recipe, folder / "run", simulate=True, seed=3, units=2)
     assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
+
+
+def hidden_truth(folder: Path, unit: str = "unit1") -> dict[str, float]:
+    """What the simulation hides of a unit and of how it hangs, by the names of the parameters."""
+    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+    return hidden["units"][unit] | hidden["installation"]
 
 
 def estimated(

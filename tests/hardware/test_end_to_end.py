@@ -1,12 +1,12 @@
 """From a recipe to a calibration: the run on simulated devices, the log, the estimate, and the hidden truth."""
 
-import json
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 from hardware_evidence import record
+from imu_bench import hidden_truth
 from scipy.stats import chi2
 
 from gradcal_jax.calibration import read_calibration
@@ -58,11 +58,8 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
         said = gradcal("estimate", run / "log.nc", "--recipe", recipe, "-o", run / "calibration.toml")
         assert said.returncode in (0, 1), said.stderr
         calibration = read_calibration(run / "calibration.toml")
-        truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
         fit, row = calibration.fit[0], next(row for row in calibration.result if row.name.startswith("full range"))
-        found.append(
-            (*distance(calibration, truth["units"]["unit1"] | truth["installation"]), fit.statistic, fit.degrees)
-        )
+        found.append((*distance(calibration, hidden_truth(run)), fit.statistic, fit.degrees))
         ratios.append((row.value if row.named is None else row.named) / predicted.mean_of_max)
     errors, count, data, degrees = np.sum(found, axis=0)
     assert 0.001 < chi2.sf(errors, count) < 0.999, found

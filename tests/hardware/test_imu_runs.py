@@ -1,13 +1,12 @@
 """Runs of whole units on simulated devices: what devices, journal and log make of poses, turns and mountings."""
 
 import itertools
-import json
 import math
 
 import numpy as np
 import pytest
 from hardware_evidence import record
-from imu_bench import estimated, made, short, triad
+from imu_bench import estimated, hidden_truth, made, short, triad
 from scipy.stats import chi2
 
 from gradcal_jax.estimation.imu_executed import executed_imu
@@ -72,11 +71,10 @@ def test_one_axis_turns_at_a_time(ran):
 
 def test_the_estimate_finds_what_was_hidden(ran):
     folder, log = ran
-    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
     spec = RunFolder(folder).recipe().spec
-    count = consistent(log, spec, hidden["units"]["unit2"] | hidden["installation"], 1e-4)[3]
+    count = consistent(log, spec, hidden_truth(folder, "unit2"), 1e-4)[3]
     # Of another unit it is far off: the bands can tell.
-    wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
+    wrong = estimated(log, spec, hidden_truth(folder))[2]
     assert wrong > chi2.ppf(1.0 - 1e-12, count)
 
 
@@ -155,9 +153,8 @@ def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path, measured):
     changes = sensitive if measured else {**sensitive, "sensor.gyro.angle_random_walk": "0.3 deg/sqrt(h)"}
     spec, run = changed(short(4) if measured else triad(), changes), tmp_path / "run"
     assert execute.run(made(spec), run, simulate=True, seed=3).exit_status == "success"
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     log = run_log.log(run)
-    consistent(log, spec, hidden["units"]["unit1"] | hidden["installation"], 1e-4)
+    consistent(log, spec, hidden_truth(run), 1e-4)
     counted, _, said = with_options(spec, [log], Options())
     arm = "3 mm" if measured else "3 cm"
     assert str(counted.sensor.gyro.g_sensitivity.lever_arm) == arm
@@ -205,8 +202,6 @@ def test_three_mountings_on_one_axis(tmp_path):
     log = run_log.log(run)
     assert np.unique(log.mounting).tolist() == [0, 1, 2]
     assert np.all(np.diff(log.mounting) >= 0)
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    truth = hidden["units"]["unit1"] | hidden["installation"]
-    squares, degrees, nees, count = consistent(log, recipe.spec, truth, 0.005)
+    squares, degrees, nees, count = consistent(log, recipe.spec, hidden_truth(run), 0.005)
     said = f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}"
     record("three mountings on one axis", said, "test_imu_runs")

@@ -4,7 +4,6 @@ their logs hold every step once and whole, and what is estimated of them is as s
 Two axes, three gyros and three accelerometers; a laboratory of its own for every run, so that no two have one truth.
 """
 
-import json
 import time
 from dataclasses import dataclass, field
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from hardware_evidence import record
 from hardware_processes import laboratory
-from imu_bench import estimated, made, short
+from imu_bench import estimated, hidden_truth, made, short
 from killing import Killer, require_seams
 from scipy.stats import chi2
 
@@ -59,13 +58,8 @@ def killed_run(folder, made, kills, seed, sums):
     require_every_step_once(run, track, log)
     sums.kills += killer.kills
     sums.seams += require_seams(RunFolder(run).contents(), track)
-    sums.each.append(estimated(log, made.spec, truth_in(folder)))
+    sums.each.append(estimated(log, made.spec, hidden_truth(folder)))
     return log
-
-
-def truth_in(folder):
-    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
-    return hidden["units"]["unit1"] | hidden["installation"]
 
 
 def require_safe(lab, fresh, sums):
@@ -115,7 +109,7 @@ def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path):
     sums.require_in_bands(2e-4)
     # Over either clock: which one is the better depends on how busy the computer was.
     for clock in ("sensor", "host"):
-        _, _, nees, count = estimated(log, recipe.spec, truth_in(tmp_path / "one"), clock)
+        _, _, nees, count = estimated(log, recipe.spec, hidden_truth(tmp_path / "one"), clock)
         assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count), (clock, nees)
 
 

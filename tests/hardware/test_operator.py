@@ -44,14 +44,11 @@ ASKS = "let it come to rest and type the angle that its scale shows: "
 
 
 class Person(SimulatedPerson):
-    """Mistypes every so many answers (`slips`; never that to a repeated question), or types an angle where Enter is
-    asked for."""
+    """Types `types(number, text)` in place of its answer of that number."""
 
-    def __init__(self, clock, plant, hand, slips, always_types):
-        super().__init__(clock, {"x": plant}, hand or SimulatedHand())
-        self.heard, self.typed = [], []
-        self._slips, self._always_types, self._slipped = slips, always_types, False
-        self._chance = np.random.default_rng([self.hand.seed, 5])
+    def __init__(self, clock, plant, hand, types):
+        super().__init__(clock, {"x": plant}, hand)
+        self.heard, self.typed, self._types = [], [], types
 
     def ask(self, question):
         self.heard.append(question)
@@ -62,26 +59,15 @@ class Person(SimulatedPerson):
         super().withdraw(why)
 
     def answer(self):
-        answer = super().answer()
-        if answer is None:
+        if (answer := super().answer()) is None:
             return None
-        text = answer[0] or "90 deg" * self._always_types
-        self._slipped = not self._slipped and bool(self._chance.random() < self._slips)
-        if self._slipped:
-            text = text.replace(".", ",").replace("0", "o")
-        self.typed.append(text)
-        return text, answer[1]
+        self.typed.append(self._types(len(self.typed), answer[0]))
+        return self.typed[-1], answer[1]
 
 
-def gimbal(
-    clock,
-    hand=None,
-    slips=0.0,
-    always_types=False,
-    **config,
-):
+def gimbal(clock, hand=None, types=lambda number, text: text, **config):
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.01), clock.now())
-    person = Person(clock, plant, hand, slips, always_types)
+    person = Person(clock, plant, hand or SimulatedHand(), types)
     return operator.OperatorAxis(person, operator.OperatorConfig(**config), clock, "x"), person, plant
 
 
@@ -118,14 +104,15 @@ def test_a_person_turns_and_types_what_the_dial_shows():
 
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more():
     clock = VirtualClock()
-    axis, person, plant = gimbal(clock, SimulatedHand(3), slips=0.6)
+    slips = lambda number, text: text if number % 2 else text.replace(".", ",").replace("0", "o")  # noqa: E731
+    axis, person, plant = gimbal(clock, SimulatedHand(3), slips)
     axis.home()
     settled(axis, clock)
     for goal in (90.0, 180.0, 270.0):
         axis.move_to(goal, 30.0, 10.0)
         assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
-    assert sum("," in typed for typed in person.typed) > 0
-    assert sum("is not understood" in heard for heard in person.heard) > 0
+    assert any("," in typed for typed in person.typed)
+    assert any("is not understood" in heard for heard in person.heard)
     axis, person, plant = gimbal(clock, SimulatedHand(miss_deg=0.001))
     axis.home()
     settled(axis, clock)
@@ -207,7 +194,7 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone():
 
 def test_what_is_typed_without_a_dial_is_asked_again():
     clock = VirtualClock()
-    axis, person, _ = gimbal(clock, always_types=True, angle="none")
+    axis, person, _ = gimbal(clock, types=lambda number, text: text or "90 deg", angle="none")
     axis.move_to(90.0, 72.0, 14.4)
     end = clock.now() + 60.0
     while not any("press Enter when" in heard for heard in person.heard):

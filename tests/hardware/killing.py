@@ -5,7 +5,6 @@ A kill comes at any time of a run with the same chance. What the run did then is
 
 import signal
 import subprocess
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 from hardware_bench import parse_journal
 from hardware_processes import start_run
 
-from gradcal_jax.hardware.journal import Event, JournalContents
+from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import exit_status
 from gradcal_jax.hardware.track import Track
 
@@ -34,7 +33,7 @@ class Killer:
     guard: bool = False
     kills: int = 0
 
-    def run_to_its_end(self, path: Path, after_a_kill: Callable[[list[Event]], None] = lambda fresh: None) -> None:
+    def run_to_its_end(self, path, after_a_kill=lambda fresh: None):
         """Begin a run, kill it and go on with it until it is complete. `after_a_kill` is handed the events of the part
         that was killed, and what its guard added."""
         torn, records = b"", []
@@ -60,7 +59,7 @@ class Killer:
                 for entry in path.glob("*"):
                     entry.unlink()
 
-    def _strike(self, run: "subprocess.Popen[str]", journal: Path) -> bool:
+    def _strike(self, run, journal):
         """Kill the run at an instant, some while they start or make the rig safe; False when it ended before."""
         random, begun = self.random, runs_begun(journal)
         if random.random() < _WHILE_IT_STARTS:
@@ -77,11 +76,11 @@ class Killer:
         return alive
 
 
-def runs_begun(journal: Path) -> int:
+def runs_begun(journal):
     return journal.read_bytes().count(b'"state":"running"') if journal.exists() else 0
 
 
-def lasts(run: "subprocess.Popen[str]", real_s: float) -> bool:
+def lasts(run, real_s):
     """Wait so long; False when the run ended before."""
     try:
         run.wait(timeout=real_s)
@@ -90,11 +89,11 @@ def lasts(run: "subprocess.Popen[str]", real_s: float) -> bool:
     return False
 
 
-def require_seams(contents: JournalContents, track: Track) -> int:
+def require_seams(contents, track):
     """Every session that goes on in the middle of the track marks a seam, at the step with which it goes on, before it
     does anything of it; beside those there are only those of steps that a busy computer did not execute as written, and
     made again. How many there are."""
-    sessions: list[list[Event]] = []
+    sessions = []
     for event in contents.events:
         if event.name == "session":
             sessions.append([])

@@ -392,7 +392,7 @@ def late(delay_s, begins=b""):
 
 
 def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
-    with espec_bench(espec_config(pause="0 s")) as (chamber, _, port, _):
+    with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(0.45)
         assert chamber._speaker.read("air")["air"] == "23.0"
         assert f"ESPEC at {port.url} was sent 'TEMP?" in port.late
@@ -403,7 +403,7 @@ def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
 
 def test_a_later_reply_counts_for_no_other_question():
     """The query fails, and what still comes is awaited before the next."""
-    with espec_bench(espec_config(pause="0 s")) as (chamber, _, port, _):
+    with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(1.4)
         with pytest.raises(ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise"):
             chamber._speaker.read("air")

@@ -6,40 +6,37 @@ its `OK`.
 
 import re
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.plants import ChamberPlant
-
 
 class SimulatedEspec:
-    def __init__(self, plant: ChamberPlant, clock: Clock, *, high_c: float = 140.0, low_c: float = -50.0) -> None:
+    def __init__(self, plant, clock, *, high_c=140.0, low_c=-50.0):
         self.plant, self.high_c, self.low_c, self._clock = plant, high_c, low_c, clock
         self._buffer, self.mode = b"", "STANDBY"
         self.constant_c = plant.truth.ambient_c
-        self.alarms: list[int] = []
-        self.commands: list[str] = []
+        self.alarms = []
+        self.commands = []
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         *lines, self._buffer = (self._buffer + data).split(b"\r\n")
         replies = [reply for reply in map(self._line, lines) if reply]
         return [reply.encode("ascii") + b"\r\n" for reply in replies]
 
-    def raise_alarm(self, code: int) -> None:
+    def raise_alarm(self, code):
         """Raise an alarm: the chamber stops conditioning and shows the code."""
         self.alarms.append(code)
         self._enter("OFF")
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Power cut and back: off."""
         self._buffer = b""
         self._enter("OFF")
 
-    def run_program(self, end_c: float) -> None:
+    def run_program(self, end_c):
         """Somebody starts a program at the panel."""
         self.mode = "RUN"
         self.plant.command(self._clock.now(), target_c=end_c, gradient_k_per_min=0.5)
         self.plant.switch(self._clock.now(), True)
 
-    def _line(self, line: bytes) -> str:
+    def _line(self, line):
         text = line.decode("latin-1").strip()
         self.commands.append(text)
         if "?" in text:
@@ -47,7 +44,7 @@ class SimulatedEspec:
         refusal = self._command(text)
         return f"NA:{refusal}" if refusal else f"OK:{text}"
 
-    def _answer(self, text: str) -> str:
+    def _answer(self, text):
         now = self._clock.now()
         set_point = self.plant.set_point_c(now) if self.mode == "RUN" else self.constant_c
         temperatures = (self.plant.air_c(now), set_point, self.high_c, self.low_c)
@@ -60,7 +57,7 @@ class SimulatedEspec:
         }
         return answers.get(text, "NA:CMD ERR")
 
-    def _command(self, text: str) -> str:
+    def _command(self, text):
         """Execute a command and return an empty text; or return a refusal and change nothing."""
         if (match := re.fullmatch(r"TEMP, S(-?\d+(?:\.\d+)?)", text)) is not None:
             if not self.low_c <= float(match[1]) <= self.high_c:
@@ -74,7 +71,7 @@ class SimulatedEspec:
             return ""
         return "CMD ERR"
 
-    def _enter(self, mode: str) -> None:
+    def _enter(self, mode):
         now, self.mode = self._clock.now(), mode
         if mode == "CONSTANT":
             self.plant.command(now, target_c=self.constant_c)

@@ -102,15 +102,7 @@ def perfect(*, scale_factor=0.0, clock_error=0.0):
     return ImuTruth(triads, clock_error=clock_error)
 
 
-def sensor_on_table(
-    clock,
-    truth=None,
-    *,
-    sample_rate_hz=125.0,
-    axis=None,
-    chamber=None,
-    seed=1,
-):
+def sensor_on_table(clock, truth=None, *, sample_rate_hz=125.0, axis=None, chamber=None, seed=1):
     """A unit on a vertical axis, at 45 degrees of latitude."""
     return SimulatedImu(
         truth or perfect(),
@@ -172,10 +164,11 @@ class Rig:
             port.__exit__()
 
 
-def chunks_of(contents, line, *, received=True):
-    for record in contents.records:
-        if isinstance(record, Chunk) and record.line == line and record.received == received:
-            yield record
+def chunks_of(contents, line):
+    """What was received on a line."""
+    return [
+        record for record in contents.records if isinstance(record, Chunk) and record.received and record.line == line
+    ]
 
 
 def parse_journal(data):
@@ -186,7 +179,7 @@ def parse_journal(data):
         return read_journal(Path(file.name))
 
 
-def short_recipe(ramp_k=4.0, *, stable_for="20 s", changes=None):
+def short_recipe(ramp_k=4.0, *, changes=None):
     """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro."""
     moves = [
         {"rest": "4 s", "read_every": "1 s"},
@@ -201,35 +194,24 @@ def short_recipe(ramp_k=4.0, *, stable_for="20 s", changes=None):
         "plan.cycle.moves": moves,
         "plan.cycle.other_axes": {"duration": "2 s", "read_every": "1 s"},
     }
-    spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))
-    return unpredicted(spec, stable_for=stable_for)
+    return unpredicted(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {})))
 
 
-def unpredicted(spec, *, stable_for="20 s"):
+def unpredicted(spec):
     """A recipe whose prediction is empty: what can be made without compiling anything."""
-    return made_of(spec, Stability(for_at_least=Quantity.read(stable_for, "time")))
+    return made_of(spec, Stability(for_at_least=Quantity.read("20 s", "time")))
 
 
 @contextmanager
-def running(
-    folder,
-    track,
-    truth=None,
-    *,
-    limits=None,
-    with_unit=True,
-    **more,
-):
+def running(folder, track, truth=None, *, limits=None, with_unit=True, **more):
     """A rig and the runner of a track on it, in virtual time; its journal lies in the folder."""
     clock = VirtualClock()
     folder.mkdir(exist_ok=True)
     with Rig(clock, truth, burst_s=0.256) as rig, Journal(folder / "journal") as journal:
         devices = rig.rig if with_unit else only_of(rig.rig, {"chamber", "table"})
         with open_rig(devices, clock) as bench:
-            yield (
-                rig,
-                Runner(track, bench, journal, clock, limits or InterlockLimits(), **{"safe_deadline_s": 10.0} | more),
-            )
+            more = {"safe_deadline_s": 10.0} | more
+            yield rig, Runner(track, bench, journal, clock, limits or InterlockLimits(), **more)
 
 
 def short_track():
@@ -261,16 +243,7 @@ def acting(runner, when, act, every_s=1.0):
     runner.on_progress = look
 
 
-def struck(
-    folder,
-    track,
-    when,
-    harm,
-    *words,
-    ready=lambda rig: None,
-    every_s=1.0,
-    **more,
-):
+def struck(folder, track, when, harm, *words, ready=lambda rig: None, every_s=1.0, **more):
     """A run that harm befalls, once its progress is so: its rig, its end, and the time of the harm (s). With words:
     it ends aborted and safe, and says so."""
     with running(folder, track, **more) as (rig, runner):

@@ -86,6 +86,13 @@ def laboratory(folder, speed, seed=0, *, units=1, sample_rate_hz=125.0):
         process.stdout.close()
 
 
+def require_standing(laboratory):
+    """Of a laboratory: its chamber is in standby, and its axes do not turn."""
+    laboratory.stdin.write("state\n")
+    laboratory.stdin.flush()
+    assert laboratory.stdout.readline().split() == ["STANDBY", "0.0"]
+
+
 def start_run(folder, path, speed, *, guard=False, silent_s=20.0):
     words = [sys.executable, __file__, "run", str(folder), str(path), str(speed)] + (["guard"] if guard else [])
     environment = os.environ | {"SILENT_S": str(silent_s)}

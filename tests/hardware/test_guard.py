@@ -17,7 +17,7 @@ from unittest.mock import Mock
 import pytest
 import serial
 from hardware_bench import Rig, short_recipe
-from hardware_processes import laboratory, start_run
+from hardware_processes import laboratory, require_standing, start_run
 from simulated_devices.faults import Faults
 from simulated_devices.port import FastClock
 from simulated_devices.port_lab import SimulatedLab
@@ -216,9 +216,7 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path):
         assert soon(lambda: journal.exists() and journal.read_bytes().count(b'"move"') >= 2)
         os.kill(int((tmp_path / "run" / "pid").read_text()), signal.SIGSTOP)
         assert soon(lambda: journal.read_bytes().count(b'"by":"guard"') >= 3)
-        lab.stdin.write("state\n")
-        lab.stdin.flush()
-        assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
+        require_standing(lab)
         run.communicate(timeout=30.0)
         assert run.returncode == -signal.SIGKILL
     assert "no longer responded" in by_guard(journal)[0].data["what"]

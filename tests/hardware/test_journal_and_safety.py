@@ -105,7 +105,7 @@ def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path):
     assert done.stdout.endswith("again\n")
     contents = read_journal(tmp_path / "j")
     assert contents.events[0].name == "start"
-    assert len(list(chunks_of(contents, "unit"))) == 19
+    assert len(chunks_of(contents, "unit")) == 19
 
 
 def test_many_threads_write_whole_records(tmp_path, monkeypatch):
@@ -256,7 +256,7 @@ def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path):
             child.wait()
         contents = read_journal(path)
         assert acknowledged in [event.data.get("number") for event in contents.events if event.name == "step"]
-        chunks = list(chunks_of(contents, "unit"))
+        chunks = chunks_of(contents, "unit")
         assert (
             sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
         )

@@ -39,8 +39,8 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(tmp_pat
         assert gradcal_run(tmp_path, lab.rig, "--dry-run", "--json") == 0
         assert json.loads(capsys.readouterr().out)["problems"] == []
         assert is_untold(lab)
-        cooler = rig_with(lab.rig, chamber=lab.rig.chamber.model_dump(mode="json") | {"never_above": "26 degC"})
-        assert gradcal_run(tmp_path, cooler, "--dry-run") != 0
+        chamber = lab.rig.chamber.model_dump(mode="json", exclude_unset=True) | {"never_above": "26 degC"}
+        assert gradcal_run(tmp_path, rig_with(lab.rig, chamber=chamber), "--dry-run") != 0
         assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out
     assert gradcal_run(tmp_path, lab.rig, "--dry-run") != 0  # nobody answers any more
     assert "cannot be opened" in capsys.readouterr().out

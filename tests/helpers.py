@@ -1,20 +1,15 @@
-"""The zoo: scenes with every motion, noise and reference, and slow roads to their covariance that share nothing with
-the engine but the scene's numbers.
+"""The zoo: scenes with every motion, noise and reference, and slow roads to their covariance.
 
-A `Scene` is plain numbers (SI, °C). `core` makes the engine's plan and model of it. `reference` walks through the scene
-by itself: rates from the shapes' textbook formulas, temperatures from the lag's own solution, regressors and the
-covariance of all readings by composite Gauss–Legendre integration of the processes' *kernels* (no recursion, no state).
+A `Scene` is plain numbers (SI, °C). `core` makes the engine's plan and model of it. `reference` has the regressors and
+the covariance of all readings by composite Gauss–Legendre integration of the processes' *kernels* over the course (no
+recursion, no state).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline as ScipyBSpline
-from scipy.optimize import brentq
+from scipy.linalg import solve_triangular
 
 from gradcal_jax import model as models
 from gradcal_jax import motion as trajectory
@@ -36,7 +31,6 @@ from gradcal_jax.motion import Geometry, Schedule, TableMotion
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
-Extended = np.longdouble
 
 
 @dataclass(frozen=True)
@@ -194,282 +188,106 @@ def core_model(scene: Scene) -> Channel:
     return gyro_x(tuple(terms), scene.arw, processes)
 
 
-# --- the scene, walked through by itself ------------------------------------------------------------------------------
-
-
 def textbook_rate(act: Act, t: np.ndarray) -> np.ndarray:
-    """Rate of a move `t` seconds after its start, from the shape's definition."""
-    u = t / act.duration
-    if act.shape == "rest":
-        return np.zeros_like(t)
-    if act.shape in ("cosine ramps", "linear ramps"):
-        rising = np.clip(np.minimum(t, act.duration - t) / act.ramp, 0.0, 1.0)
-        return act.peak * (rising if act.shape == "linear ramps" else 0.5 - 0.5 * np.cos(np.pi * rising))
-    assert act.shape == "hand"
-    return act.peak * np.sin(np.pi * u) ** 2 * (1.0 + act.unevenness * np.sin(6.0 * np.pi * u))
+    """Rate of a turn `t` seconds after its start, from the shape's definition."""
+    if act.shape == "hand":
+        u = t / act.duration
+        return act.peak * np.sin(np.pi * u) ** 2 * (1.0 + act.unevenness * np.sin(6.0 * np.pi * u))
+    rising = np.clip(np.minimum(t, act.duration - t) / act.ramp, 0.0, 1.0)
+    return act.peak * (rising if act.shape == "linear ramps" else 0.5 - 0.5 * np.cos(np.pi * rising))
 
 
-def _smooth_breaks(act: Act) -> np.ndarray:
-    """Where a move's rate is not smooth, or a fixed rule needs help (fractions of the move)."""
-    if act.shape in ("cosine ramps", "linear ramps"):
-        r = act.ramp / act.duration
-        return np.unique([r / 2, r, 1 - r, 1 - r / 2])
-    return np.linspace(0.0, 1.0, {"hand": 16, "rest": 1}[act.shape] + 1)[1:-1]
-
-
-class Reading(NamedTuple):
-    time: float
-    standstill: int  # −1 on the move
-    rate: float = 0.0
-    origin: int = 0
-
-
-class Walk(NamedTuple):
-    """What happens, in order: `acts` as (start, act); `readings`, each with the number of the origin, a reading, too,
-    that it counts from."""
-
-    begin: float
-    end: float
-    acts: list[tuple[float, Act]]
-    readings: list[Reading]
-    origins: list[Reading]
-
-
-def walk(scene: Scene) -> Walk:
-    """The scene's acts and readings."""
-    knots = np.cumsum([0.0, *(d for d, _ in scene.stretches)])
-    used = scene.used or ((0, len(knots) - 1),)
-    own = sum(a.duration for a in scene.moves)
-    period = own + sum(a.duration for a in scene.after)
-    found = Walk(float(knots[used[0][0]]), float(knots[used[-1][1]]), [], [], [])
-    clock, standstill = found.begin, 0
-    for number, (first, last) in enumerate(used):
-        if number:
-            found.acts.append((clock, Act("rest", float(knots[first]) - clock)))
-            clock = float(knots[first])
-        found.origins.append(Reading(clock, standstill))
-        available = float(knots[last] - knots[first])
-        cycles = int((available - own) / period + 1e-9) + 1 if scene.moves else 0
-        line = [a for k in range(cycles) for a in (*scene.moves, *(scene.after if k < cycles - 1 else ()))]
-        left = available - sum(a.duration for a in line)
-        if left > 1e-6:
-            line.append(Act("rest", left, every=scene.read_every))
-        for act in line:
-            turning = act.shape != "rest"
-            times = [act.duration] if turning else []
-            if act.every is not None:
-                times = [act.every * k for k in range(1, int(act.duration / act.every + 1e-9) + 1)]
-            standstill += turning
-            for t in times:
-                on_the_way = turning and t < act.duration * (1 - 1e-9)
-                rate = float(textbook_rate(act, np.array(t))) if on_the_way else 0.0
-                found.readings.append(Reading(clock + t, -1 if on_the_way else standstill, rate, number))
-            found.acts.append((clock, act))
-            clock += act.duration
-    return found
-
-
-def sensor_temperature(scene: Scene, times: np.ndarray) -> np.ndarray:
-    """Temperature of the die: the chamber's, behind a first-order lag, in equilibrium at the start."""
-    knots = np.cumsum([0.0, *(d for d, _ in scene.stretches)])
-    chamber = scene.start + np.cumsum([0.0, *(d * s for d, s in scene.stretches)])
-    if scene.lag is None:
-        return np.interp(times, knots, chamber)
-    out, sensor = np.empty_like(times), chamber[0]
-    for k, (duration, slope) in enumerate(scene.stretches):
-        # The response to a ramp from rest, and the decay of what the sensor was behind at the stretch's start.
-        here = (times >= knots[k]) if k else np.ones_like(times, bool)
-        t = np.append(times[here] - knots[k], duration)
-        lagging = (sensor - chamber[k]) * np.exp(-t / scene.lag)
-        of_sensor = chamber[k] + lagging + slope * (t + scene.lag * np.expm1(-t / scene.lag))
-        out[here], sensor = of_sensor[:-1], of_sensor[-1]
-    return out
-
-
-def rate_at(found: Walk, times: np.ndarray) -> np.ndarray:
-    """Rate of the channel at any times."""
-    starts = np.array([s for s, _ in found.acts])
-    index = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(starts) - 1)
-    out = np.zeros_like(times)
-    for k in np.unique(index):
-        here = index == k
-        out[here] = textbook_rate(found.acts[k][1], times[here] - starts[k])
-    return out
-
-
-def reported_functions(basis: Any, x: np.ndarray) -> np.ndarray:
-    """A basis as people read it, on a new last axis: normalised monomials, B-splines (SciPy's) or indicators."""
-    if isinstance(basis, Polynomial):
-        return ((x - basis.centre) / basis.scale)[..., None] ** np.arange(basis.degree + 1)
-    if isinstance(basis, BSpline):
-        k = basis.knots
-        t = np.r_[[k[0]] * basis.degree, k, [k[-1]] * basis.degree]
-        spline = ScipyBSpline(t, np.eye(basis.size), basis.degree)
-        return spline(np.clip(x, k[0], k[-1]))
-    edges = basis.edges
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    return np.eye(len(edges) - 1)[index]
-
+# --- the covariance by integrals over the course ----------------------------------------------------------------------
 
 _GAUSS = np.polynomial.legendre.leggauss(24)
 _X, _W = (_GAUSS[0] + 1.0) / 2.0, _GAUSS[1] / 2.0
 
 
-class Reference(NamedTuple):
-    """Regressors of all readings in *reported* coefficients, `(R, p)`, and the covariance of their noise, `(R, R)`."""
+def reference(scene: Scene, made: Engine) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors of all readings `(R, p)` in the engine's coordinates, and the covariance of their noise `(R, R)`.
 
-    regressors: np.ndarray
-    covariance: np.ndarray
-
-
-def panels(scene: Scene, found: Walk) -> np.ndarray:
-    """Times between which everything is smooth and slow enough for one Gauss rule."""
-    edges = [found.begin, found.end, *(r.time for r in found.readings), *(o.time for o in found.origins)]
-    edges += list(np.cumsum([0.0, *(d for d, _ in scene.stretches)]))
-    for start, act in found.acts:
-        edges += [start, start + act.duration, *(start + act.duration * _smooth_breaks(act))]
-    edges = np.unique(np.clip(np.array(edges), found.begin, found.end))
-    edges = edges[np.r_[True, np.diff(edges) > 1e-9]]
-    longest = min([30.0, *(n.tau for n in scene.noises)])
-    fine = [np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[:-1] for a, b in pairwise(edges)]
-    edges = np.r_[np.concatenate(fine), edges[-1]]
-    warm = [b for basis in (scene.bias, scene.scale and scene.scale[0]) if basis is not None for b in basis.breaks]
-    fast = scene.scale[1].breaks if scene.scale else ()
-    crossings: list[float] = []
-    for of, breaks in ((partial(sensor_temperature, scene), warm), (partial(rate_at, found), fast)):
-        for a, b in pairwise(edges if len(breaks) else ()):
-            grid = np.linspace(a, b - 1e-12 * max(1.0, abs(b)), 17)
-            for level in breaks:
-                above = of(grid) - level
-                for i in np.flatnonzero(above[:-1] * above[1:] < 0.0):
-                    crossings.append(brentq(_apart, grid[i], grid[i + 1], (of, level), xtol=1e-13, rtol=1e-15))
-    return np.unique(np.r_[edges, crossings])
-
-
-def _apart(t: float, of: Callable[[np.ndarray], np.ndarray], level: float) -> float:
-    return float(of(np.array([t]))[0]) - level
-
-
-def reference(scene: Scene) -> Reference:
-    """Everything by integration over the scene; nothing of the engine's is used but the bases' definitions."""
-    found = walk(scene)
-    edges = panels(scene, found)
-    a, width = edges[:-1], np.diff(edges)
-    times = a[:, None] + width[:, None] * _X
+    Of the engine's are the course alone, whose times, rates and temperatures `tests/motion` proves, and the bases."""
+    line = made.motion.line
+    # Each piece in panels `(P,)` that are short enough for one Gauss rule.
+    parts = np.ceil(line.duration / min([30.0, *(n.tau for n in scene.noises)])).astype(int)
+    piece, ends = np.repeat(np.arange(line.piece_count), parts), np.cumsum(parts)
+    share, number = 1.0 / parts[piece], np.arange(len(piece))
+    before = (number - (ends - parts)[piece]) * share
+    places, inner = (before[:, None] + share[:, None] * x for x in (_X, np.outer(_X, _X).ravel()))
+    rate, temperature, width = line.rate(places, piece), line.temperature(places, piece), line.duration[piece] * share
     weight = width[:, None] * _W
-    rate, temperature = rate_at(found, times), sensor_temperature(scene, times)
-
-    blocks = []
-    if scene.bias is not None:
-        blocks.append(np.einsum("pq,pqa->pa", weight, reported_functions(scene.bias, temperature)))
+    blocks = [] if scene.bias is None else [np.einsum("pq,pqa->pa", weight, scene.bias(temperature))]
     if scene.scale is not None:
-        of_t, of_w = (reported_functions(b, x) for b, x in zip(scene.scale, (temperature, rate), strict=True))
-        both = np.einsum("pq,pqa,pqb->pab", weight * rate, of_t, of_w)
-        blocks.append(both.reshape(len(a), -1))
+        both = np.einsum("pq,pqa,pqb->pab", weight * rate, scene.scale[0](temperature), scene.scale[1](rate))
+        blocks.append(both.reshape(len(both), -1))
     if scene.gradient:
-        ends = sensor_temperature(scene, edges)
-        blocks.append(np.diff(ends)[:, None])
-    increments = np.concatenate(blocks, axis=1)
-    turned = np.r_[0.0, np.cumsum(np.sum(weight * rate, axis=1))]
+        warmer = line.temperature(before[:, None] + share[:, None] * [0.0, 1.0], piece)
+        blocks.append(np.diff(warmer))
+    turned = np.append(0.0, np.cumsum(np.sum(weight * rate, axis=1)))
 
-    time, still, speed, of = np.array(found.readings).T
-    begin, first = (column[of.astype(int)] for column in np.array(found.origins).T[:2])
-    upto, origin = (np.argmin(np.abs(edges - t[:, None]), axis=1) for t in (time, begin))
-    number = np.arange(len(a))
-    within = ((number[None] >= origin[:, None]) & (number[None] < upto[:, None])).astype(Extended)
-    regressors = within @ increments.astype(Extended)
+    # Readings, and the origins that they count from: the begin, and the ends of gaps.
+    read, gaps = np.flatnonzero(line.read), np.flatnonzero(line.gap)
+    of = np.searchsorted(gaps, read)
+    until, origin = ends[read], np.append(0, ends[gaps])
+    within = ((number >= origin[of, None]) & (number < until[:, None])) * 1.0
+    regressors = within @ np.concatenate(blocks, axis=1)
     for order in scene.harmonics:
-        for wave in (lambda phi, order=order: -np.cos(order * phi), lambda phi, order=order: -np.sin(order * phi)):
-            regressors = np.c_[regressors, (wave(turned[upto]) - wave(turned[origin])).astype(Extended)]
+        for wave in (np.cos, np.sin):
+            regressors = np.c_[regressors, wave(order * turned[origin[of]]) - wave(order * turned[until])]
 
-    motion = np.diag((scene.arw**2 * width).astype(Extended))
+    inner_rate = line.rate(inner, piece).reshape(*rate.shape, -1)
+    begin = line.start[piece] + before * line.duration[piece] - line.start[0]
+    motion = np.diag(scene.arw**2 * width)
     for noise in scene.noises:
-        motion = motion + _kernel_blocks(noise, found, a, width, times, weight, rate)
+        motion = motion + noise.size**2 * _kernel_blocks(noise, begin, width, rate, inner_rate)
     covariance = within @ motion @ within.T
-
     # The noise of each reading and of the one that it counts from; the offsets of both standstills.
-    white = np.c_[np.eye(len(time)), -np.eye(len(found.origins))[of.astype(int)]]
-    size = np.r_[np.hypot(scene.reading_noise, scene.timing * speed), [scene.reading_noise] * len(found.origins)]
-    numbers = np.arange(still.max() + 1.0)
-    standing = (still[:, None] == numbers) * 1.0 - (first[:, None] == numbers)
-    covariance = covariance + (white * size.astype(Extended) ** 2) @ white.T + scene.offset**2 * standing @ standing.T
-    return Reference(regressors, covariance)
+    white, rest = np.c_[np.eye(len(read)), -np.eye(len(origin))[of]], line.at_rest[read]
+    on_move = np.where(rest, 0.0, scene.timing * line.end_rate()[read])
+    size = np.append(np.hypot(scene.reading_noise, on_move), np.full(len(origin), scene.reading_noise))
+    moves = np.cumsum(line.moving & (np.diff(line.segment, append=-1) != 0))
+    numbers = np.arange(moves[-1] + 1)
+    now = (moves[read, None] == numbers) & rest[:, None]
+    standing = now * 1.0 - (np.append(0, moves[gaps])[of, None] == numbers)
+    covariance = covariance + (white * size**2) @ white.T + scene.offset**2 * standing @ standing.T
+    return regressors, covariance
 
 
-def _kernel_blocks(noise: Noise, found: Walk, a, width, times, weight, rate) -> np.ndarray:
-    """`∫∫ c(s)c(s') K(s, s') ds ds'` over all pairs of panels, K the process's own covariance function."""
-    c = noise.bias_gain + noise.rate_gain * rate
+def _kernel_blocks(noise: Noise, begin, width, rate, inner_rate) -> np.ndarray:
+    """`∫∫ c(s)c(s') K(s, s') ds ds'` over all pairs of panels, K the process's own covariance function of size 1."""
+    weight, since = width[:, None] * _W, width[:, None] * _X
+    c, inner_c = (noise.bias_gain + noise.rate_gain * of for of in (rate, inner_rate))
     whole = np.sum(weight * c, axis=1)
     if noise.kind == "constant":
-        return np.multiply.outer(whole, whole).astype(Extended) * noise.size**2
-    inner = a[:, None, None] + (times - a[:, None])[:, :, None] * _X
-    inner_weight = (times - a[:, None])[:, :, None] * _W
-    inner_c = noise.bias_gain + noise.rate_gain * rate_at(found, inner)
-    lower = np.tril(np.ones((len(a), len(a))), -1)
+        return np.outer(whole, whole)
+    inner_weight, inner = since[:, :, None] * _W, since[:, :, None] * _X
     if noise.kind == "walk":
-        since = times - found.begin
-        early = np.sum(weight * c * since, axis=1)
-        blocks = np.multiply.outer(whole, early) * lower
-        diagonal = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, inner_weight * inner_c * (inner - found.begin))
+        early = begin[:, None] + since
+        apart = np.outer(whole, np.sum(weight * c * early, axis=1))
+        kernel = begin[:, None, None] + inner
     else:
-        onward = np.sum(weight * c * np.exp(-((a + width)[:, None] - times) / noise.tau), axis=1)
-        from_start = np.sum(weight * c * np.exp(-(times - a[:, None]) / noise.tau), axis=1)
-        apart = np.maximum(a[:, None] - (a + width)[None, :], 0.0)
-        blocks = from_start[:, None] * np.exp(-apart / noise.tau) * onward[None, :] * lower
-        fading = inner_weight * inner_c * np.exp(-(times[:, :, None] - inner) / noise.tau)
-        diagonal = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, fading)
-    return (blocks + blocks.T + np.diag(diagonal)).astype(Extended) * noise.size**2
+        onward, from_start = (
+            np.sum(weight * c * np.exp(-t / noise.tau), axis=1) for t in (width[:, None] - since, since)
+        )
+        between = np.maximum(begin[:, None] - (begin + width), 0.0)
+        apart = from_start[:, None] * np.exp(-between / noise.tau) * onward
+        kernel = np.exp(-(since[:, :, None] - inner) / noise.tau)
+    apart = np.tril(apart, -1)
+    own = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, inner_weight * inner_c * kernel)
+    return apart + apart.T + np.diag(own)
 
 
 # --- roads to the covariance ------------------------------------------------------------------------------------------
 
 
-def cholesky(matrix: np.ndarray) -> np.ndarray:
-    """Lower triangular factor in extended precision."""
-    work = np.array(matrix, Extended)
-    n = len(work)
-    for k in range(n):
-        if not work[k, k] > 0:
-            raise np.linalg.LinAlgError("not positive definite")
-        work[k, k] = np.sqrt(work[k, k])
-        work[k + 1 :, k] /= work[k, k]
-        work[k + 1 :, k + 1 :] -= np.multiply.outer(work[k + 1 :, k], work[k + 1 :, k])
-    return np.tril(work)
-
-
-def forward(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """`L⁻¹ right` in extended precision."""
-    x = np.array(right, Extended)
-    for k in range(len(lower)):
-        x[k] = (x[k] - lower[k, :k] @ x[:k]) / lower[k, k]
-    return x
-
-
-def dense_gls(
-    regressors: np.ndarray, covariance: np.ndarray, prior: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations and covariance of dense generalised least squares; `prior`: whitened rows."""
+def dense_gls(regressors: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Standard deviations of dense generalised least squares; `prior`: whitened rows."""
     scale = np.sqrt(np.diagonal(covariance))
-    rows = forward(cholesky(covariance / np.multiply.outer(scale, scale)), regressors / scale[:, None])
-    if prior is not None:
-        rows = np.concatenate([rows, prior.astype(Extended)])
-    norm = np.sqrt(np.sum(rows**2, axis=0))
-    rows = rows / norm
-    inverse = forward(cholesky(rows.T @ rows), np.eye(rows.shape[1]))
-    posterior = inverse.T @ inverse / np.multiply.outer(norm, norm)
-    return np.sqrt(np.diagonal(posterior)).astype(float), posterior.astype(float)
-
-
-def prior_rows_reported(scene: Scene, count: int) -> np.ndarray:
-    """Whitened rows of the priors on reported coefficients and of the harmonics."""
-    sizes = [0 if scene.bias is None else scene.bias.size]
-    sizes.append(0 if scene.scale is None else scene.scale[0].size * scene.scale[1].size)
-    weights = [1.0 / scene.bias_prior] * sizes[0] + [1.0 / scene.scale_prior] * sizes[1]
-    weights += [0.0] if scene.gradient else []
-    weights += [1.0 / amplitude for amplitude in scene.harmonics.values() for _ in range(2)]
-    rows = np.diag(weights)
-    assert rows.shape == (count, count)
-    return rows[np.array(weights) > 0.0]
+    lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
+    rows = np.concatenate([solve_triangular(lower, regressors / scale[:, None], lower=True), prior])
+    norm = np.linalg.norm(rows, axis=0)
+    inverse = solve_triangular(np.linalg.qr(rows / norm, mode="r"), np.eye(len(norm)))
+    return np.linalg.norm(inverse, axis=1) / norm
 
 
 def augmented_kalman(steps: NoiseSteps, columns: np.ndarray, prior_covariance: np.ndarray) -> np.ndarray:

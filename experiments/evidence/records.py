@@ -20,8 +20,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "records"))
 
-from recording_zoo import ZOO, Recorded  # noqa: E402
+from recording_zoo import ZOO, N, Recorded  # noqa: E402
 from test_recording_zoo import WITHIN, looked_at  # noqa: E402
+
+from gradcal_jax.records.importers import import_log  # noqa: E402
 
 OUTCOMES = ("right", "right, with a note", "flagged", "asked", "silently wrong")
 
@@ -29,7 +31,7 @@ OUTCOMES = ("right", "right, with a note", "flagged", "asked", "silently wrong")
 def judged(record: Recorded) -> tuple[str, list[str]]:
     """The outcome of a record, and the rules that caught it."""
     try:
-        walk, error, said = looked_at(record.path, record.columns)
+        walk, error, said = looked_at(import_log(record.path, record.columns))
     except ValueError as question:
         # (What adds the file's name raises anew.)
         first = question.__context__ if isinstance(question.__context__, ValueError) else question
@@ -41,7 +43,7 @@ def judged(record: Recorded) -> tuple[str, list[str]]:
                 function = f"{Path(path).stem}.{name.strip('_')}"
             trace = trace.tb_next
         return "asked", [function]
-    right = abs(walk - record.walk) < WITHIN * error and error < 0.2 * walk
+    right = abs(walk - N) < WITHIN * error and error < 0.2 * walk
     rules = list(dict.fromkeys(rule_of(one) for one in said))
     if right:
         return ("right, with a note" if said else "right"), rules

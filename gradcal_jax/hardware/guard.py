@@ -17,6 +17,7 @@ answer is tried again for an hour, unless another run takes its port.
 import json
 import os
 import queue
+import select
 import signal
 import subprocess
 import sys
@@ -43,6 +44,7 @@ Settings = dict[str, dict[str, str]]
 
 BEAT_S = 1.0
 _SILENT_S = 20.0
+_TO_START_S = 30.0
 _TO_OPEN_S = 3.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
@@ -169,7 +171,10 @@ class Guard:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self._input, self._output = self.process.stdin, self.process.stdout
-        if not self._output.read(1):
+        # (Windows has no such wait for a pipe.)
+        heard = os.name == "nt" or bool(select.select([self._output], [], [], _TO_START_S)[0])
+        if not (heard and self._output.read(1)):
+            self.process.kill()
             self._release()
             self.process.wait()
             raise HardwareError(

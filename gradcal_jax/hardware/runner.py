@@ -121,10 +121,11 @@ class Runner:
         limits: dict[str, Any] = {}
         for name, entry, device in self.bench.devices():
             report = report_of(self.bench, name, entry, device, self.known.get(name))
+            if report.problem:
+                # A resume compares with the devices of the journal: this one is none of the run's.
+                raise HardwareError(report.problem)
             if report.identity is not None:
                 self._event("identity", **event_fields(report.identity), device=name)
-            if report.problem:
-                raise HardwareError(report.problem)
             limits[name] = report.limits
             if isinstance(report.limits, ImuSettings):
                 self._event("configuration", device=name, **event_fields(report.limits))
@@ -243,7 +244,7 @@ class Runner:
                     axes.move(step.name, move, motion + start_s, self._duties)
                     continue
                 skipped = bool(agenda) and agenda[0][1] is None and motion + agenda[0][0] <= self.clock.now()
-                if not (skipped and axes.by_hand):
+                if planned and not (skipped and axes.by_hand):
                     self._require_on_time("a reading was {:.1f} s late", motion + start_s)
                 if not skipped:
                     axes.read(planned=planned)

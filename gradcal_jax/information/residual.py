@@ -48,6 +48,8 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
 }
 """For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
+# Grids of requirements that are kept with a model.
+_MOST_GRIDS = 32
 # Imaginary step of a derivative, which is exact to rounding.
 _STEP = 1e-30
 _MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
@@ -240,9 +242,11 @@ def residual_of(built: BuiltImu, requirement: Requirement, unseen: Sequence[AnyA
         triad = getattr(sensor, _kind_of(requirement))
         if triad.gradient_sensitivity is None:
             beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
-    # (A sweep has one model, and computes the grids of its requirements once.)
+    # (A sweep has one model, and computes the grids of its requirements once; those of swept requirements go again.)
     known: dict[Any, Residual] = {} if built.about is not None else vars(built.model).setdefault("_grids", {})
     if requirement not in known:
+        if len(known) >= _MOST_GRIDS:
+            known.clear()
         temperatures, rates = _grid(requirement)
         elements = tuple(_elements(built, requirement, temperatures, rates))
         known[requirement] = Residual(requirement, temperatures, rates, elements, 0.0)

@@ -73,7 +73,7 @@ def plan_pictures(spec: Spec) -> Iterator[Picture]:
         words = "Direction of the vertical in the device's frame at every rest; the colour shows the time of the rest."
         yield picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), projection="mollweide")
     words = "Planned temperature of the chamber, without waiting for stable temperatures."
-    yield picture("plan", words, lambda ax: plots.draw_temperature(spec, ax=ax))
+    yield picture("temperature of the plan", words, lambda ax: plots.draw_temperature(spec, ax=ax))
 
 
 def run_picture(history: RunHistory) -> Picture:

@@ -138,7 +138,9 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
             places = {one: _place(one, header, layout) for one in wanted}
             rows = _rows(itertools.chain(begin[above:], lines), layout)
             first = list(itertools.islice(rows, _LOOKED_AT))
-            as_text = {places[one] for one in texts} | ({len(header)} if header else set[int]())
+            # A remark may name other columns than those of the rows.
+            width = len(header) if header and not begin[above - 1].lstrip().startswith("#") else 0
+            as_text = {places[one] for one in texts} | ({width} if width else set[int]())
             cells = _cells(itertools.chain(first, rows), as_text.union(places.values()), as_text, layout)
     except (UnicodeError, LookupError):
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
@@ -148,10 +150,10 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
         raise LogError("there are no rows below the header")
     if where is not None:
         cells = cells[rows_where(where, _words(cells[places[where.column]]))]
-    extra: Any = cells[len(header)].dropna() if header else cells[:0]
+    extra: Any = cells[width].dropna() if width else cells[:0]
     if len(extra) > max(_MANY_UNREAD, _SHARE_UNREAD * len(cells)):
         raise LogError(
-            f"{len(extra)} of {len(cells)} rows have more fields than the {len(header)} names of the header, such as "
+            f"{len(extra)} of {len(cells)} rows have more fields than the {width} names of the header, such as "
             f"'{extra.iloc[0][:40]}': do the numbers contain commas, or does the first column have no name? "
             "Correct the file, or refer to the columns by numbers, with header = false and skip = 1 under [csv]"
         )
@@ -205,7 +207,8 @@ def _rows(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
         if commas:
             row = row.translate(commas)
         if '"' in row and layout.mark:
-            row = layout.mark.join(field.replace(layout.mark, " ") for field in _fields(row, layout.mark))
+            # (A mark within quotes is a thousands separator, or part of a text.)
+            row = layout.mark.join(field.replace(layout.mark, _POINT) for field in _fields(row, layout.mark))
         yield row if row.endswith("\n") else row + "\n"
 
 

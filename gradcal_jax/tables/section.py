@@ -112,7 +112,7 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
         elif problem.kind == "missing" and (meaning := meanings(model).get(str(key), "")):
             ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})"
         spelt.append(replace(problem, message=problem.message + ending))
-    return [p for p in spelt if p.kind != "missing" or len(p.key) > 1 or p.key[0] not in meant]
+    return [p for p in spelt if p.kind != "missing" or not meant.intersection(p.key[:1]) or len(p.key) > 1]
 
 
 class OneOrMore:

@@ -9,32 +9,18 @@ import subprocess
 import numpy as np
 import pytest
 import yaml
-from calibration_samples import (
-    HEAD,
-    SPLINE_T,
-    WHOLE,
-    G,
-    a_truth,
-    axis_text,
-    calibration_of,
-    document,
-    gyro,
-    readings,
-)
+from calibration_samples import SPLINE_T, G, a_truth, axis, calibration_of, gyro, largest, of, readings, term
+from calibration_samples import WHOLE as CALIBRATION
 from controllers import TAKEN_OFF, parameters_of
 
-from gradcal_jax.calibration import Calibration, parse_calibration
+from gradcal_jax.calibration import Calibration
 from gradcal_jax.calibration.c_header import Header
 from gradcal_jax.calibration.correction import correct, term_values
-from gradcal_jax.calibration.exports import (
-    FORMATS,
-    export,
-    linear_at,
-)
+from gradcal_jax.calibration.exports import FORMATS, export, linear_at
 from gradcal_jax.spec import presets
 
 DEG_PER_H = np.degrees(1.0) * 3600.0
-CALIBRATION = parse_calibration(WHOLE)
+IMU = calibration_of(a_truth())
 T = np.linspace(-30.0, 70.0, 501)
 MOVING = "within the ranges of rates and forces"
 
@@ -48,18 +34,16 @@ def bias(channel, temperature):
 
 
 @pytest.mark.parametrize("target", ["ardupilot", "px4"])
-@pytest.mark.parametrize("of", ["axes", "imu"])
-def test_flight_controllers_take_the_biases_off_within_what_is_said(target, of):
-    truth = a_truth()
-    calibration = calibration_of(truth) if of == "imu" else CALIBRATION
+@pytest.mark.parametrize("calibration", [CALIBRATION, IMU], ids=["axes", "imu"])
+def test_flight_controllers_take_the_biases_off_within_what_is_said(target, calibration):
     done = export(calibration, target, instance=2, device_id=4259850)
     told = parameters_of(done.text, target)
     for channel in calibration.channel:
         taken = TAKEN_OFF[target](told, "xyz".index(channel.axis), T, 2, channel.kind)
-        assert np.max(np.abs(taken - bias(channel, T))) < (1e-8 if channel.kind == "gyro" else 1e-6) * 3.0
+        assert largest(taken - bias(channel, T)) < (1e-8 if channel.kind == "gyro" else 1e-6) * 3.0
         if target == "px4":  # it corrects in steps of 1 °C
             fine = np.linspace(-30.0, 70.0, 1001)
-            steps = np.max(np.abs(bias(channel, fine) - bias(channel, np.floor(fine))))
+            steps = largest(bias(channel, fine) - bias(channel, np.floor(fine)))
             factor = DEG_PER_H if channel.kind == "gyro" else 1e6 / G
             assert loss(done, channel.label, "at rest") == pytest.approx(steps * factor, rel=1e-3)
         assert loss(done, channel.label, MOVING) > 1000.0
@@ -68,15 +52,15 @@ def test_flight_controllers_take_the_biases_off_within_what_is_said(target, of):
         rows = [line.split("\t") for line in done.text.splitlines()]
         assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] in ("6", "9") for row in rows)
         assert any("device id" in note for note in export(calibration, "px4").notes)
-    elif of == "imu":
-        gain = linear(truth, "accelerometer", 20.0)[0][0, 0]
+    elif calibration is IMU:
+        gain = linear(a_truth(), "accelerometer", 20.0)[0][0, 0]
         assert told["INS_ACC2SCAL_X"] == pytest.approx(1.0 / gain, rel=1e-7)
         # Where the scale is that of the temperature, a share of the bias's rounding is left.
         assert loss(done, "gyro x", "at rest") < 0.1
 
 
 def test_one_axis_leaves_the_other_channels_as_they_are():
-    alone = parse_calibration(HEAD + axis_text("y"))
+    alone = of(axis("y"))
     done = export(alone, "matrices", temperature_c=25.0)
     matrix = np.array(yaml.safe_load(done.text)["gyro"]["matrix"])
     assert np.count_nonzero(matrix - np.eye(3)) == 1
@@ -110,28 +94,28 @@ def test_kalibr_s_form_is_the_same_imu_in_its_own_frame():
     truth, at = a_truth(), 33.0
     gyro, _ = linear(truth, "gyro", at)
     force, _ = linear(truth, "accelerometer", at)
-    form = {name: np.array(of) for name, of in linear_at(calibration_of(truth), at)["kalibr"].items()}
+    form = {name: np.array(of) for name, of in linear_at(IMU, at)["kalibr"].items()}
     for matrix in (form["accelerometer"], form["gyro"]):
-        assert np.max(np.abs(np.triu(matrix, 1))) < 1e-15
+        assert largest(np.triu(matrix, 1)) < 1e-15
     for rotation in (form["rotation"], form["frame"]):
-        assert np.max(np.abs(rotation @ rotation.T - np.eye(3))) < 1e-14
+        assert largest(rotation @ rotation.T - np.eye(3)) < 1e-14
         assert np.linalg.det(rotation) > 0.0
-    assert np.max(np.abs(form["accelerometer"] @ form["frame"] - force)) < 1e-14
-    assert np.max(np.abs(form["gyro"] @ form["rotation"] @ form["frame"] - gyro)) < 1e-14
-    text = export(calibration_of(truth), "kalibr", temperature_c=at).text
+    assert largest(form["accelerometer"] @ form["frame"] - force) < 1e-14
+    assert largest(form["gyro"] @ form["rotation"] @ form["frame"] - gyro) < 1e-14
+    text = export(IMU, "kalibr", temperature_c=at).text
     written = yaml.safe_load(text)
-    assert np.max(np.abs(np.array(written["accelerometers"]["M"]) - form["accelerometer"])) == 0.0
-    assert np.max(np.abs(np.array(written["gyroscopes"]["C_gyro_i"]) - form["rotation"])) == 0.0
+    assert largest(np.array(written["accelerometers"]["M"]) - form["accelerometer"]) == 0.0
+    assert largest(np.array(written["gyroscopes"]["C_gyro_i"]) - form["rotation"]) == 0.0
 
 
 def test_matrices_correct_what_the_imu_says():
     truth, at = a_truth(), -12.0
-    written = yaml.safe_load(export(calibration_of(truth), "matrices", temperature_c=at).text)
+    written = yaml.safe_load(export(IMU, "matrices", temperature_c=at).text)
     force = np.array([1.0, -4.0, 8.0])
     matrix, bias = linear(truth, "accelerometer", at)
     raw = matrix @ force + bias
     again = np.array(written["accelerometer"]["matrix"]) @ (raw - np.array(written["accelerometer"]["bias"]))
-    assert np.max(np.abs(again - force)) < 1e-13
+    assert largest(again - force) < 1e-13
 
 
 def csv_rows(calibration):
@@ -139,14 +123,14 @@ def csv_rows(calibration):
     return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 
-@pytest.mark.parametrize("calibration", [CALIBRATION, calibration_of(a_truth())], ids=["axes", "imu"])
+@pytest.mark.parametrize("calibration", [CALIBRATION, IMU], ids=["axes", "imu"])
 def test_csv_loses_nothing(calibration):
     read = {f"{row['channel']}.{row['name']}": float(row["value"]) for row in csv_rows(calibration)}
     assert read == calibration.values()
     assert export(calibration, "csv").losses == ()
 
 
-@pytest.mark.parametrize("calibration", [CALIBRATION, calibration_of(a_truth())], ids=["axes", "imu"])
+@pytest.mark.parametrize("calibration", [CALIBRATION, IMU], ids=["axes", "imu"])
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
 def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     done = export(calibration, "c-header")
@@ -155,8 +139,8 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off"]
     subprocess.run(["cc", *strict, "main.c", "-o", "main"], cwd=tmp_path, check=True)
     log, *_ = readings(a_truth(), 200)
-    known = dict(zip(("rate x", "rate y", "rate z"), log.rate_rad_per_s[0].T, strict=True))
-    known |= dict(zip(("force x", "force y", "force z"), log.specific_force_m_per_s2[0].T, strict=True))
+    read = np.concatenate([log.rate_rad_per_s[0], log.specific_force_m_per_s2[0]], axis=1)
+    known = dict(zip([f"{kind} {a}" for kind in ("rate", "force") for a in "xyz"], read.T, strict=True))
     header = Header(calibration)
     inputs = header.inputs
     said = np.float32(np.stack([known[name] for name in inputs], axis=1)).astype(float)
@@ -166,34 +150,26 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     assert ran.returncode == 0, "the header's own self-test failed"
     out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
     rounds = int(re.search(r"round < (\d+)", done.text)[1])
-    assert np.max(np.abs(out - header.corrected(said, temperature, rounds)[0])) < 1e-5
+    assert largest(out - header.corrected(said, temperature, rounds)[0]) < 1e-5
     exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
     for channel in calibration.channel:
-        off = np.max(np.abs(out[:, inputs.index(channel.input)] - exact[channel.input]))
+        off = largest(out[:, inputs.index(channel.input)] - exact[channel.input])
         stated = next(one for one in done.losses if (one.channel, one.what) == (channel.label, MOVING))
-        largest = np.radians(300.0) if channel.kind == "gyro" else G
-        assert off / largest * 1e6 < 2.0 * stated.value + 0.5
+        full_scale = np.radians(300.0) if channel.kind == "gyro" else G
+        assert off / full_scale * 1e6 < 2.0 * stated.value + 0.5
         assert stated.value < 1.0
     code = re.sub(r"/\*.*?\*/", "", done.text, flags=re.DOTALL)
     assert "/" not in code  # no division
 
 
-def followed_calibration():
-    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag and a hysteresis."""
-    made = document(a_truth())
-    x = made["channel"][0]
-    slope = {"name": "bias_gradient", "unit": "rad/K", "signals": ["temperature rate"], "coefficients": {"d": 2e-3}}
-    x["term"] = [*x["term"], slope]
-    x["thermal_lag"] = "120 s"
-    at = {"channel": "gyro_y", "standard_deviation": 1e-5}
-    made["path"] = [
-        at | {"name": "hysteresis_10K", "value": 1e-5, "unit": "rad/s/K", "width": "10 K"},
-    ]
-    return Calibration.model_validate(made)
-
-
 def test_what_follows_the_path_of_the_temperature_is_counted_or_named():
-    calibration = followed_calibration()
+    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag and a hysteresis."""
+    path = {"channel": "gyro_y", "name": "hysteresis_10K", "value": 1e-5, "standard_deviation": 1e-5}
+    path |= {"unit": "rad/s/K", "width": "10 K"}
+    slope = term("bias_gradient", "rad/K", ["temperature rate"], {"d": 2e-3})
+    made = IMU.model_dump(mode="json", exclude_unset=True)
+    made["channel"][0] |= {"term": [*made["channel"][0]["term"], slope], "thermal_lag": "120 s"}
+    calibration = Calibration.model_validate(made | {"path": [path]})
     lags = {(row["channel"], row["term"]): row["lag_s"] for row in csv_rows(calibration)}
     assert (lags["gyro_x", "bias"], lags["gyro_y", "bias"]) == ("120.0", "0.0")
     of_bias = calibration.channel[0].term_of("bias")
@@ -204,7 +180,7 @@ def test_what_follows_the_path_of_the_temperature_is_counted_or_named():
     # The lag and the term in dT/dt together, at the worst temperature.
     one = next(one for one in export(calibration, "c-header").losses if one.what == "while the temperature changes")
     assert (one.channel, one.unit) == ("gyro x", "deg/h at 1 K/min")
-    assert one.value == pytest.approx(np.max(np.abs(2e-3 / 60.0 - behind)) * DEG_PER_H, rel=1e-2)
+    assert one.value == pytest.approx(largest(2e-3 / 60.0 - behind) * DEG_PER_H, rel=1e-2)
 
 
 PROGRAM = """
@@ -230,13 +206,13 @@ int main(void)
 
 
 def test_the_header_takes_the_rounds_that_large_errors_need():
-    large = parse_calibration(HEAD + axis_text("x", size=0.05))
+    large = of(axis("x", size=0.05))
     done = export(large, "c-header")
     assert int(re.search(r"round < (\d+)", done.text)[1]) > 6
     assert loss(done, "gyro x", "at rest") < 0.2
     truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
     last, _ = Header(large).corrected(gyro(large, truth, at)[:, None], at, 12)
-    assert np.max(np.abs(last[:, 0] - truth)) < 2e-6
+    assert largest(last[:, 0] - truth) < 2e-6
 
 
 def test_what_a_target_cannot_take_is_a_sentence():
@@ -250,8 +226,8 @@ def test_what_a_target_cannot_take_is_a_sentence():
         with pytest.raises(ValueError, match=said):
             export(CALIBRATION, target, **how)
     with pytest.raises(ValueError, match="bias of gyro x has knots"):
-        export(parse_calibration(HEAD + axis_text("x", SPLINE_T)), "c-header")
-    named = parse_calibration(HEAD + axis_text("roll"))
+        export(of(axis("x", SPLINE_T)), "c-header")
+    named = of(axis("roll"))
     for target in ("ardupilot", "px4"):
         with pytest.raises(ValueError, match="none of them fits"):
             export(named, target)

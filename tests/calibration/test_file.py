@@ -4,7 +4,8 @@ import re
 
 import jsonschema
 import pytest
-from calibration_samples import HEAD, WHOLE, a_truth, axis_text, calibration_of
+from calibration_samples import WHOLE as AXES
+from calibration_samples import a_truth, axis, calibration_of, of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,7 @@ from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.schemas import schema
 from gradcal_jax.tables.writing import to_toml
 
-IMU = to_toml(calibration_of(a_truth()))
+WHOLE, IMU = to_toml(AXES), to_toml(calibration_of(a_truth()))
 
 
 @pytest.mark.parametrize("text", [WHOLE, IMU], ids=["axes", "imu"])
@@ -51,11 +52,11 @@ def test_a_broken_file_is_told_what_is_wrong(old, new, sentence):
 
 
 def test_a_covariance_must_be_square_and_of_known_names():
-    more = axis_text("x") + '[covariance]\nnames = ["gyro_x.a0", "gyro_x.q"]\nmatrix = [[1.0, 0.0], [0.0]]\n'
+    more = to_toml(of(axis("x"))) + '[covariance]\nnames = ["gyro_x.a0", "gyro_x.q"]\nmatrix = [[1.0, 0.0], [0.0]]\n'
     with pytest.raises(SpecError, match="2 rows of 2 numbers"):
-        parse_calibration(HEAD + more)
+        parse_calibration(more)
     with pytest.raises(SpecError, match=r"no channel has: gyro_x\.q"):
-        parse_calibration(HEAD + more.replace("[0.0]]", "[0.0, 1.0]]"))
+        parse_calibration(more.replace("[0.0]]", "[0.0, 1.0]]"))
 
 
 TEXTS = st.one_of(st.text(max_size=400), st.sampled_from(["", "=", "nan", "[", '"', "1e999", "\n", "é", "-"]))

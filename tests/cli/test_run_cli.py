@@ -6,6 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -20,26 +23,25 @@ from gradcal_jax.records.log_file import read_log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import to_toml
 
-CHANGES = {
-    "plan.temperature": ["23 degC", "24 degC"],
-    "plan.gradient": "2 K/min",
-    "plan.soak": "2 s",
-    "rig.table.axis[0].travel": "360 deg",  # all of which a plan may use
-    "plan.cycle.moves": [
-        {"rest": "3 s", "read_every": "1 s"},
-        {"turn": "360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
-        {"turn": "-360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
-    ],
-    "plan.cycle.other_axes": None,
-}
+CHANGES = """
+"plan.temperature" = ["23 degC", "24 degC"]
+"plan.gradient" = "2 K/min"
+"plan.soak" = "2 s"
+"rig.table.axis[0].travel" = "360 deg"  # all of which a plan may use
+"plan.cycle.moves" = [
+  { rest = "3 s", read_every = "1 s" },
+  { turn = "360 deg", peak_rate = "200 deg/s", shape = "linear ramps" },
+  { turn = "-360 deg", peak_rate = "200 deg/s", shape = "linear ramps" },
+]
+"""
 
 
 def a_recipe(folder: Path) -> Path:
-    quick = Stability(for_at_least=Quantity.read("20 s", "time"))
-    made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES), quick)
+    quick = Stability.model_validate({"for_at_least": "20 s"})
+    changes = tomllib.loads(CHANGES) | {"plan.cycle.other_axes": None}
+    made = made_of(changed(parse_spec(presets.text("paper-dynamic-gradient")), changes), quick)
     path = folder / "recipe.toml"
     path.write_text(to_toml(made), encoding="utf-8")
     return path
@@ -82,7 +84,7 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         # The chamber's driver on the table's port: what was sent and what came back.
         wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
         wrong = wrong.replace('"X"', f'"{lab.ports[1].url}"')
-        quick = wrong.replace("[chamber.options]\n", '[chamber.options]\nreply_timeout = "0.3 s"\n')
+        quick = wrong.replace("options = {", 'options = { reply_timeout = "0.3 s",', 1)
         assert quick != wrong
         path.write_text(quick, encoding="utf-8")
         assert main(["rig", "check", str(path), "--json"]) == 3
@@ -111,29 +113,39 @@ def test_slips_are_sentences(words, said, tmp_path, capsys, monkeypatch):
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("on_a_terminal", [False, True])
-def test_ctrl_c_makes_safe_and_ends(tmp_path, on_a_terminal):
-    recipe, run = a_recipe(tmp_path), tmp_path / "run"
+@contextmanager
+def on_terminal(recipe: Path, run: Path, *more: str, **streams: int) -> Iterator[tuple[subprocess.Popen, int]]:
+    """The command in a process, and the other end of its terminal: each of the `streams` that is 0 is on it."""
     program = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", *more, "-o", str(run)]
+    leader, follower = os.openpty()
+    process = subprocess.Popen(words, **{name: value or follower for name, value in streams.items()}, text=True)
+    os.close(follower)
+    try:
+        yield process, leader
+    finally:
+        process.kill()
+        os.close(leader)
+
+
+def until(run: Path, name: str) -> None:
+    """Waits for an event in the journal."""
+    journal, end = run / "journal", time.monotonic() + 120.0
+    while not (journal.exists() and any(event.name == name for event in read_journal(journal).events)):
+        assert time.monotonic() < end, f"no {name} in the journal"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("stdin", [0, subprocess.DEVNULL])
+def test_ctrl_c_makes_safe_and_ends(tmp_path, stdin):
+    recipe, run = a_recipe(tmp_path), tmp_path / "run"
     # Enough samples to be interrupted in the middle.
     many = ["--units", "8", "--sample-rate", "2000 Hz"]
-    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", *many, "-o", str(run)]
-    master, slave = os.openpty()
-    process = subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=slave if on_a_terminal else subprocess.DEVNULL,
-        text=True,
-    )
-    end = time.monotonic() + 90.0
-    while not ((run / "journal").exists() and b'"step begins"' in (run / "journal").read_bytes()):
-        assert time.monotonic() < end, "the first step never began"
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=90.0)
-    for descriptor in (master, slave):
-        os.close(descriptor)
+    said = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with on_terminal(recipe, run, *many, **said) as (process, _):
+        until(run, "step begins")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=90.0)
     assert process.returncode == 130, err
     assert "chamber: safe" in out
     assert f"gradcal run --resume {run}" in err
@@ -143,27 +155,13 @@ def test_ctrl_c_makes_safe_and_ends(tmp_path, on_a_terminal):
 
 def test_a_terminal_that_was_told_to_stop_stops_no_run(tmp_path):
     recipe, run = a_recipe(tmp_path), tmp_path / "run"
-    master, slave = os.openpty()
-    program = "import sys; from gradcal_jax.cli import main; sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", "-o", str(run)]
-    process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
-    os.close(slave)
-    try:
+    with on_terminal(recipe, run, stdin=0, stdout=0, stderr=0, start_new_session=True) as (process, leader):
         said = b""
         while b"step 1 of" not in said:
-            said += os.read(master, 4096)
-        os.write(master, b"\x13")  # Ctrl-S
-        deadline = time.monotonic() + 120.0
-        ended = False
-        while not ended and time.monotonic() < deadline:
-            time.sleep(0.5)
-            journal = run / "journal"
-            ended = journal.exists() and any(event.name == "end" for event in read_journal(journal).events)
-        assert ended
-        os.write(master, b"\x11")  # Ctrl-Q
+            said += os.read(leader, 4096)
+        os.write(leader, b"\x13")  # Ctrl-S
+        until(run, "end")
+        os.write(leader, b"\x11")  # Ctrl-Q
         while b"write the log" not in said:
-            said += os.read(master, 4096)
+            said += os.read(leader, 4096)
         assert process.wait(timeout=30.0) == 0
-    finally:
-        process.kill()
-        os.close(master)

@@ -20,6 +20,18 @@ SENSOR = "my {}\n{}\n\n0.2 deg/sqrt(h)\n500 deg/s\n\n\n"
 """Answers on a sensor: its name, its kind, its noise and full scale."""
 
 
+@pytest.fixture
+def answered(tmp_path, monkeypatch, capsys):
+    """`answered(text)`: the status of `gradcal start` with these answers, what it wrote and said."""
+
+    def start(text):
+        monkeypatch.setattr("sys.stdin", io.StringIO(text))
+        status = main(["start", "-o", str(tmp_path / "mine")])
+        return status, tmp_path / "mine", *capsys.readouterr()
+
+    return start
+
+
 def sound(texts):
     spec = gj.parse_spec(texts["spec.toml"])
     assert absent_terms(spec) == []
@@ -31,14 +43,18 @@ def sound(texts):
     return spec
 
 
+def written(folder, most_lines):
+    texts = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+    assert len(texts["spec.toml"].splitlines()) <= most_lines
+    return sound(texts)
+
+
 @pytest.mark.parametrize("preset", ["drone-gyro", "tactical-gyro"])
 def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path, capsys):
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     assert f"gradcal predict {out / 'spec.toml'}" in capsys.readouterr().out
-    texts = {path.name: path.read_text(encoding="utf-8") for path in out.iterdir()}
-    assert len(texts["spec.toml"].splitlines()) <= 40
-    spec = sound(texts)
+    spec = written(out, 40)
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met", "met"]
     assert prediction.omitted == ()
@@ -64,10 +80,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert len((out / "spec.toml").read_text(encoding="utf-8").splitlines()) <= (
-        60 if PRESETS[preset]["axes"] == "1" else 80
-    )
-    spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
+    spec = written(out, 60 if PRESETS[preset]["axes"] == "1" else 80)
     assert (len(spec.sensor.gyro.axes), len(spec.sensor.accelerometer.axes)) == (3, 3)
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met"] * 4
@@ -82,13 +95,13 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
         assert max(map(abs, angles)) > 0.99 * 2.0 * reach
 
 
-def test_the_sheet_is_the_sensor_s_own(tmp_path, monkeypatch):
+def test_the_sheet_is_the_sensor_s_own(answered):
     """Its figures are in the budget and in the prior; nothing of another sensor is."""
     answers = "my imu\nimu\n\n0.3 deg/sqrt(h)\n400 deg/s\n2 deg/s, 0.02 deg/s/K, 80 ppm/K\n100 deg/h\n"
     answers += "0.05 m/s/sqrt(h), 10 mg, 0.1 mg/K\ntext\naerosmith-like\n2\n" + "\n" * 10
-    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
-    assert main(["start", "-o", str(tmp_path)]) == 0
-    gyro = gj.read_spec(tmp_path / "spec.toml").sensor.gyro
+    status, folder, *_ = answered(answers)
+    assert status == 0
+    gyro = gj.read_spec(folder / "spec.toml").sensor.gyro
     assert (str(gyro.turn_on_bias), str(gyro.temperature_error.bias_slope)) == ("100 deg/h", "0.02 deg/s/K")
     constant, slope, *_ = gyro.bias.prior
     half = float(gyro.bias.temperature.scale)
@@ -96,23 +109,21 @@ def test_the_sheet_is_the_sensor_s_own(tmp_path, monkeypatch):
     assert np.degrees(slope) == pytest.approx(0.02 * half, rel=1e-3)
 
 
-def test_without_a_table_gravity_calibrates(tmp_path, monkeypatch, capsys):
-    asked = SENSOR.format("box", "imu") + "0.06 m/s/sqrt(h), 20 mg, 0.2 mg/K\nown\nnone\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(asked))
-    assert main(["start", "-o", str(tmp_path / "mine")]) == 0
-    assert "--gravity" in capsys.readouterr().out
-    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["columns.toml"]
+def test_without_a_table_gravity_calibrates(answered):
+    status, folder, out, _ = answered(SENSOR.format("box", "imu") + "0.06 m/s/sqrt(h), 20 mg, 0.2 mg/K\nown\nnone\n")
+    assert status == 0
+    assert "--gravity" in out
+    assert [path.name for path in folder.iterdir()] == ["columns.toml"]
 
 
-def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_path, monkeypatch, capsys):
+def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(answered):
     given = "my gyro\nimu\n<\ngyro\n\n0.2 deg/sqrt(h)\n500 deg/s\n" + "\n" * 10 + "500 ppm, 50 deg/h\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(given))
-    assert main(["start", "-o", str(tmp_path / "mine")]) == 0
-    asked = capsys.readouterr().out
+    status, folder, asked, _ = answered(given)
+    assert status == 0
     assert all(f"{n}. " in asked for n in range(1, 17))
     assert "17. " not in asked
     assert "accelerometers'" not in asked
-    spec = gj.read_spec(tmp_path / "mine" / "spec.toml")
+    spec = gj.read_spec(folder / "spec.toml")
     assert spec.title.startswith("my gyro: ")
     assert (spec.sensor.gyro.axes, str(spec.requirement[0].target)) == (("x",), "500 ppm")
     assert str(spec.rig.table.axis[0].max_rate) == USUAL["rate"]
@@ -132,13 +143,11 @@ def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_pa
         (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\nhand\n", "gimbal-by-hand"),
     ],
 )
-def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
-    given, said, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr("sys.stdin", io.StringIO(given))
-    assert main(["start", "-o", str(tmp_path / "mine")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "mine").exists()
+def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(given, said, answered):
+    status, folder, _, err = answered(given)
+    assert status == 2
+    assert said in err
+    assert not folder.exists()
 
 
 @pytest.mark.parametrize("travel", ["25 deg", "400 deg"])
@@ -166,10 +175,9 @@ def test_presets_carry_a_design_to_uncomment(name):
     assert ExactObjective(spec).name_and_unit()[1] in ("ppm", "deg/h")
 
 
-def test_files_that_would_be_overwritten_are_named_before_the_first_question(tmp_path, monkeypatch, capsys):
-    (tmp_path / "spec.toml").write_text("mine", encoding="utf-8")
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    assert main(["start", "-o", str(tmp_path)]) == 2
-    asked, said = capsys.readouterr()
-    assert asked == ""
-    assert "spec.toml exists" in said
+def test_files_that_would_be_overwritten_are_named_before_the_first_question(tmp_path, answered):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "spec.toml").write_text("mine", encoding="utf-8")
+    status, _, asked, err = answered("")
+    assert (status, asked) == (2, "")
+    assert "spec.toml exists" in err

@@ -1,5 +1,6 @@
 """The descent: it ends at a minimum, can be watched, and comes back from where there is no value."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -24,3 +25,14 @@ def test_a_descent_reaches_the_minimum_and_is_watched():
     assert all(now.evaluations % LOOK == 0 for now in seen)
     assert Descent(valley)(BEGIN, (1.0,), evaluations=15).evaluations == 15
     assert Descent(valley)(BEGIN, (1.0,), evaluations=90, ends=lambda _: True).evaluations == LOOK
+
+
+def test_a_step_to_where_there_is_no_value_is_made_shorter():
+    """log x, of which the first step of unit length is beyond zero."""
+
+    def steep(x, args):
+        value = jnp.sum(x - 0.01 * jnp.log(x)) * args
+        return jnp.where(jnp.isfinite(value), value, 1e3)
+
+    last = Descent(steep)(np.array([0.5, 0.6]), 3.0, evaluations=200)
+    assert last.point == pytest.approx([0.01, 0.01], rel=1e-2)

@@ -1,4 +1,4 @@
-"""What the how-to "connect my device" writes is a green `rig check`, on peers not written from it; and its errors."""
+"""What the how-to "connect my device" says is a green `rig check`, on peers not written from it; and its errors."""
 
 import re
 from contextlib import ExitStack
@@ -18,7 +18,24 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "connect.md").read_text(encoding="utf-8")
-BLOCKS = dict(re.findall(r"```toml\n# (\w+)\.toml\n(.+?)```", TEXT, flags=re.S))
+BLOCKS = dict(re.findall(r"```toml\n# (\w+)\.toml\n(.+?)```", TEXT, flags=re.S)) | {
+    "cts": """format = "gradcal-rig/1"
+[chamber]
+driver  = "lines"
+port    = "/dev/ttyUSB0"
+safe    = "standby"
+options = { protocol = "cts" }
+""",
+    "grbl": """format = "gradcal-rig/1"
+[[axis]]
+name           = "table"
+driver         = "lines"
+port           = "/dev/ttyUSB1"
+safe           = "hold"
+gravity_loaded = false
+options        = { protocol = "grbl", changes = { limits = { max_rate = "200 deg/s" } } }
+""",
+}
 
 
 def peer(name, clock):

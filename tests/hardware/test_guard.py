@@ -206,6 +206,17 @@ def test_a_guard_that_hangs_is_replaced(rig, folder, monkeypatch):
     assert watched.process.wait(timeout=60.0) == 0
 
 
+def test_a_guard_that_hangs_as_it_starts_is_none(tmp_path, monkeypatch):
+    """As on a disk that never answers: the run does not wait for it, and says that it has no guard."""
+    hangs = tmp_path / "python"
+    hangs.write_text("#!/bin/sh\nexec sleep 60\n")
+    hangs.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(hangs))
+    monkeypatch.setattr(guard, "_TO_START_S", 0.2)
+    with pytest.raises(HardwareError, match="cannot work"):
+        guard.Guard(tmp_path)
+
+
 @pytest.mark.long
 def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path):
     """The process is stopped, as by a debugger or a disk that never answers: it holds its ports and says nothing."""

@@ -119,6 +119,12 @@ def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench):
             chamber.read()
 
 
+def test_the_slope_that_a_device_shows_is_told_wherever_its_reply_has_it():
+    reply = "R1 {state:char}{:char} {up} {down} {target}"
+    with cts_bench(lines_config("cts", changes={"ask": {"ramp": {"reply": reply}}})) as (chamber, *_):
+        assert chamber.ramp(60.0, 1.5) == pytest.approx(1.5, abs=0.01)
+
+
 @pytest.mark.parametrize("bench", [cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench):
     with bench() as (chamber, device, _, clock):

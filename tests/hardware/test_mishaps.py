@@ -312,6 +312,14 @@ def test_a_step_that_was_not_executed_as_written_is_made_again(tmp_path, mishap,
     was_executed(tmp_path)
 
 
+def test_a_late_reading_that_no_recipe_takes_repeats_no_step(tmp_path):
+    """A host or a device that is late by seconds in a soak of hours: nothing of the step is missing."""
+    soaks = Track((TrackStep("soak", 60.0, data=False),))
+    _, result, _ = struck(tmp_path, soaks, lambda progress, rig: rig.clock.now() >= 30.0, sleeps(2.5))
+    assert result.exit_status == "success"
+    assert not events(tmp_path, "not done")
+
+
 def freezes(rig):
     """The unit repeats the rates and forces of one sample: a sensor that hangs behind its interface."""
     take, held = rig.sensor.take, []

@@ -369,7 +369,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path):
         terminal.send("\n")
         terminal.expect_exact(f"x: bring it to its zero mark; {ASKS}")
         terminal.send("o.02 deg\n")
-        terminal.expect_exact("expected an angle such as '30 arcsec'. Type the angle that its scale shows: ")
+        terminal.expect_exact("expected an angle such as '0.05 deg'. Type the angle that its scale shows: ")
         terminal.send("0.02 deg\n")
         terminal.expect_exact(f"\ax: turn by +360 deg in 6 s, to 360 deg; {ASKS}")
         plant.turn_by_hand(time.monotonic(), 360.4, 1.0)

@@ -32,6 +32,7 @@ from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.guard import make_safe
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, join
+from gradcal_jax.hardware.run_folder import identities_of
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 from gradcal_jax.records.clockmap import fit_arrivals, last_of_chunks
@@ -101,6 +102,14 @@ def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path):
         assert rig.rate_dps() == 0.0
         assert rig.chamber.commands.count("MODE,CONSTANT") == 0
     assert events(tmp_path, "move") == []
+
+
+def test_a_device_that_keeps_a_run_from_beginning_is_not_that_with_which_it_began(tmp_path):
+    """The right one, when it is connected, resumes the run: what a journal names first is compared with."""
+    with running(tmp_path, short_track()) as (rig, runner):
+        object.__setattr__(rig.rig.axis[0], "serial_number", "SN 1")
+        assert "the rig file states SN 1" in runner.run().reason
+    assert "table" not in identities_of(read_journal(tmp_path / "journal"))
 
 
 def test_limits_of_travel_and_ramps_are_part_of_the_dry_run():

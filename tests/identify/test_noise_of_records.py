@@ -1,6 +1,6 @@
 """Thinned streams and noise files for other programs, against simulated records of white noise."""
 
-import re
+import json
 import sys
 from pathlib import Path
 
@@ -41,10 +41,11 @@ def test_every_400th_sample_of_a_raw_channel_is_asked_about(tmp_path, capsys):
         of_sensor(rest, fit)
     assert main(["noise", str(path)]) == 2
     assert "every n-th sample" in capsys.readouterr().err
-    assert main(["noise", str(path), "--axis", "x", "--sensor-rate", "400 Hz"]) in (0, 1)
-    assert re.search(r"N angle random walk +0\.1[67]", capsys.readouterr().out)
-    assert main(["noise", str(path), "--axis", "x", "--sensor-rate", "means"]) in (0, 1)
-    assert re.search(r"N angle random walk +3\.", capsys.readouterr().out)
+    for means, walk in (("400 Hz", 0.17), ("means", 3.4)):
+        assert main(["noise", str(path), "--axis", "x", "--sensor-rate", means, "--json"]) in (0, 1)
+        (channel,) = json.loads(capsys.readouterr().out)["channels"]
+        of = channel["allan"]["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
+        assert of["value"] == pytest.approx(walk, abs=4.0 * of["standard_error"])
 
 
 def test_the_rate_of_the_status_scales_the_angle_random_walk(tmp_path):
@@ -53,14 +54,3 @@ def test_the_rate_of_the_status_scales_the_angle_random_walk(tmp_path):
     assert walk.value * DEG_PER_SQRT_H == pytest.approx(0.17, abs=4.0 * walk.standard_error * DEG_PER_SQRT_H)
     assert 'angle_random_walk = "0.1' in instability(rest).drift_block()
     assert any("every 400th sample" in words for words in rest.messages)
-
-
-@pytest.mark.long
-def test_a_calibration_of_rows_far_apart_states_no_noise_but_that_of_the_sensor(tmp_path, capsys):
-    for hz, words in ((None, "states no noise"), (400.0, "")):
-        folder = tmp_path / str(hz)
-        folder.mkdir()
-        assert main(["estimate", str(thinned(folder, hz=hz)), "-o", str(folder / "c.toml")]) in (0, 1)
-        assert words in capsys.readouterr().out
-        text = (folder / "c.toml").read_text(encoding="utf-8")
-        assert ("[noise]" in text) == (hz is not None)

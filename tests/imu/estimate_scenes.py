@@ -1,4 +1,4 @@
-"""Units of which a plan's recording is estimated: specs of four kinds of table, their truths, their recordings."""
+"""Units of which a plan's recording is estimated: specs of four kinds of table, their truths, their estimates."""
 
 import tomllib
 from typing import Any
@@ -7,9 +7,8 @@ import imu_twin
 import numpy as np
 from imu_helpers import shipped
 
-from gradcal_jax.formulas import runs
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.model.build import build_imu
-from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -76,29 +75,17 @@ def aligned(truth: dict[str, float]) -> dict[str, float]:
     return {name: value * (0.02 if ".m_" in name else 1.0) for name, value in truth.items()}
 
 
-def record(
-    spec: Spec, truth: dict[str, float], rng: np.random.Generator, name: str = "SN7", **options: Any
-) -> list[Log]:
-    """Logs of a simulated unit, one for each mounting."""
-    logs = []
-    for kept in imu_twin.recordings(spec, truth, rng, **options):
-        number = np.full(len(kept.time), -1)
-        for k, (first, end) in enumerate(runs(kept.standing)):
-            number[first:end] = k
-        logs.append(
-            Log(
-                kept.time,
-                kept.rate[None],
-                (name,),
-                ("x", "y", "z"),
-                kept.temperature[None],
-                tuple(axis.name for axis in spec.rig.table.axis),
-                kept.angles,
-                None,
-                number,
-                specific_force_m_per_s2=kept.force[None],
-                force_axes=("x", "y", "z"),
-                simulated=True,
-            )
-        )
-    return logs
+def squared(report: SensorEstimate, truth: dict[str, float]) -> float:
+    """The error of all parameters, normalised by their covariance: χ² with as many degrees of freedom (NEES)."""
+    solution, values = report.solution, np.array(list(truth.values()))
+    error = solution.parameters - np.linalg.solve(report.built.model.to_reported, values)
+    white = np.linalg.solve(solution.known.spread, error)
+    return float(white @ white)
+
+
+def estimated(spec: Spec, seed: int, **options: Any) -> tuple[SensorEstimate, dict[str, float]]:
+    """One unit drawn, simulated and estimated; and its true reported parameters."""
+    rng = np.random.default_rng(seed)
+    truth = draw_truth(spec, rng)
+    (report,) = estimate_sensors(spec, imu_twin.record(spec, truth, rng, **options))
+    return report, truth

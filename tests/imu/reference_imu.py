@@ -6,18 +6,19 @@ error changes is the derivative of those finite readings by it, by the complex s
 generalised least squares with the processes' covariance functions: no recursion, no state.
 """
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from helpers import dense_gls
 from imu_helpers import AXES, Step, cosine_ramps
+from imu_twin import OMEGA, Course, Leg, angles_of
 
 _X, _W = np.polynomial.legendre.leggauss(16)
 _X, _W = 0.5 * (_X + 1.0), 0.5 * _W
 _STEP = 1e-30
-OMEGA = 7.292115e-5
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,20 @@ def small(vector: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Errors:
-    """Finite errors of the installation; `angle`, `angle_rate`: of each axis's encoder, functions of (t, θ, θ̇)."""
+    """Finite errors of the installation; `angle`: of an axis's encoder and its rate, a function of (k, t, θ, θ̇)."""
 
     tau: np.ndarray
     delta: np.ndarray
     mu: np.ndarray
     gravity: complex = 0.0
-    angle: tuple[int, Callable, Callable] | None = None
+    angle: tuple[int, Callable] | None = None
+
+
+def _leg(step: Step) -> Leg:
+    if step.axis < 0:
+        return Leg(-1, step.duration)
+    _, ramp, duration = cosine_ramps(step.angle, step.peak, step.acceleration)
+    return Leg(step.axis, duration, step.angle, ramp)
 
 
 class Simulator:
@@ -91,15 +99,9 @@ class Simulator:
 
     def __init__(self, scene: Scene):
         self.scene = scene
-        lasting = [s.duration if s.axis < 0 else cosine_ramps(s.angle, s.peak, s.acceleration)[2] for s in scene.steps]
-        self.times = np.concatenate([[0.0], np.cumsum(lasting)])
-        before = [np.array(scene.start, float)]
-        for s in scene.steps:
-            after = before[-1].copy()
-            if s.axis >= 0:
-                after[s.axis] += s.angle
-            before.append(after)
-        self.before = before[:-1]
+        self.legs = [_leg(step) for step in scene.steps]
+        self.times = np.concatenate([[0.0], np.cumsum([leg.duration for leg in self.legs])])
+        self.before = angles_of(self.legs, scene.start)
         self.nodes = [self._nodes(k) for k in range(len(scene.steps))]
 
     @property
@@ -108,30 +110,21 @@ class Simulator:
 
     def _nodes(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Times since the segment began, and weights."""
-        step, whole = self.scene.steps[k], self.times[k + 1] - self.times[k]
-        edges = [0.0, whole]
-        if step.axis >= 0:
-            top, ramp, _ = cosine_ramps(step.angle, step.peak, step.acceleration)
-            edges = [0.0, ramp, whole - ramp, whole] if whole > 2.0 * ramp + 1e-12 else [0.0, ramp, whole]
-            edges = [x for a, b in pairwise(edges) for x in np.linspace(a, b, 2 + int((b - a) * top))[:-1]] + [whole]
+        leg, edges = self.legs[k], [0.0, self.legs[k].duration]
+        if leg.axis >= 0:
+            edges = np.unique([0.0, leg.ramp, max(leg.duration - leg.ramp, leg.ramp), leg.duration])
+            top = abs(leg.angle) / (leg.duration - leg.ramp)
+            edges = [x for a, b in pairwise(edges) for x in np.linspace(a, b, 2 + int((b - a) * top))[:-1]] + [
+                edges[-1]
+            ]
         t = np.concatenate([a + (b - a) * _X for a, b in pairwise(edges)])
         return t, np.concatenate([(b - a) * _W for a, b in pairwise(edges)])
 
     def travel(self, k: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angle turned since a move began, and its rate."""
-        step = self.scene.steps[k]
-        if step.axis < 0:
-            return np.zeros_like(t), np.zeros_like(t)
-        top, ramp, whole = cosine_ramps(step.angle, step.peak, step.acceleration)
-
-        def up(x):
-            return 0.5 * top * (x - ramp / np.pi * np.sin(np.pi * x / ramp))
-
-        angle = np.where(
-            t < ramp, up(t), np.where(t > whole - ramp, abs(step.angle) - up(whole - t), top * (t - 0.5 * ramp))
-        )
-        rate = 0.5 * top * (1.0 - np.cos(np.pi * np.minimum(np.minimum(t, whole - t), ramp) / ramp))
-        return np.sign(step.angle) * angle, np.sign(step.angle) * rate
+        leg = self.legs[k]
+        course = Course([leg], t)
+        return course.share * leg.angle, course.pace * leg.angle
 
     def stages(self, k: int, t: np.ndarray, errors: Errors) -> tuple[np.ndarray, np.ndarray]:
         """Attitude (body to East-North-Up) and the body's rate by the joints alone, at times within a segment."""
@@ -145,8 +138,8 @@ class Simulator:
             angle = self.before[k][l] + (turned if own else 0.0 * turned)
             speed = rate if own else 0.0 * rate
             if errors.angle is not None and errors.angle[0] == l:
-                _, of_angle, of_rate = errors.angle
-                angle, speed = angle + of_angle(k, t, angle, speed), speed + of_rate(k, t, angle, speed)
+                extra, faster = errors.angle[1](k, t, angle, speed)
+                angle, speed = angle + extra, speed + faster
             if l + 1 < len(scene.axes):
                 about = np.cross(scene.axes[l + 1], scene.axes[l])
                 inner = small(errors.delta[l] * about) @ inner
@@ -180,70 +173,45 @@ class Simulator:
         """Every installation error by its name: what makes it of a size."""
         scene, found = self.scene, {}
 
-        def put(**fields):
-            def error_of(x):
-                errors = self.none
-                for name, unit in fields.items():
-                    setattr(errors, name, unit * x)
-                return errors
+        def put(field: str, unit: np.ndarray | float):
+            return lambda x: replace(self.none, **{field: unit * x})
 
-            return error_of
-
-        for j, name in enumerate(("tilt_east", "tilt_north", "azimuth")):
-            found[name] = put(tau=np.eye(3)[j])
-        for l in range(len(scene.axes) - 1):
-            found[f"orthogonality_axis{l}_axis{l + 1}"] = put(delta=np.eye(len(scene.axes) - 1)[l])
+        for unit, name in zip(np.eye(3), ("tilt_east", "tilt_north", "azimuth"), strict=True):
+            found[name] = put("tau", unit)
+        for l, unit in enumerate(np.eye(len(scene.axes) - 1)):
+            found[f"orthogonality_axis{l}_axis{l + 1}"] = put("delta", unit)
         for l, orders in enumerate(scene.orders):
             for order in orders:
-                for wave, function, slope in (("cos", np.cos, lambda x: -np.sin(x)), ("sin", np.sin, np.cos)):
-                    found[f"angle_axis{l}_{wave}{order}"] = self._harmonic(l, order, function, slope)
-        for k in range(len(scene.mountings)):
-            for j, name in enumerate(AXES):
-                unit = np.zeros((len(scene.mountings), 3))
-                unit[k, j] = 1.0
-                found[f"mounting{k + 1}_{name}"] = put(mu=unit)
-        found["gravity"] = put(gravity=1.0)
+                for wave, phase in (("cos", 0.0), ("sin", -0.5 * np.pi)):
+                    found[f"angle_axis{l}_{wave}{order}"] = self._harmonic(l, order, phase)
+        for unit in np.eye(3 * len(scene.mountings)):
+            (at,) = np.flatnonzero(unit)
+            found[f"mounting{at // 3 + 1}_{AXES[at % 3]}"] = put("mu", unit.reshape(-1, 3))
+        found["gravity"] = put("gravity", 1.0)
         return found
 
-    def _harmonic(self, l: int, order: int, function, slope):
+    def _harmonic(self, l: int, order: int, phase: float):
         """Told angle and true angle differ by the error at the told angle."""
 
-        def error_of(x):
-            errors = self.none
-            errors.angle = (
-                l,
-                lambda k, t, angle, speed: x * function(order * angle),
-                lambda k, t, angle, speed: x * order * slope(order * angle) * speed,
-            )
-            return errors
+        def wave(x, angle, speed):
+            return x * np.cos(order * angle + phase), -x * order * np.sin(order * angle + phase) * speed
 
-        return error_of
+        return lambda x: replace(self.none, angle=(l, lambda k, t, angle, speed: wave(x, angle, speed)))
 
     def encoder(self, l: int, *, now: bool) -> Callable[[complex], Errors]:
         """Error of an axis at its standstill now, or at the one before the move that it makes."""
 
         def share(k, t):
-            if self.scene.steps[k].axis != l and not self.scene.held:
-                # Straight from reading to reading; the attitude is turned by their mean.
-                return np.full(len(t), 0.5), np.full(
-                    len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k])
-                )
-            if self.scene.steps[k].axis != l:
-                return np.full(len(t), 1.0 if now else 0.0), np.zeros(len(t))
-            turned, rate = self.travel(k, t)
-            whole = self.scene.steps[k].angle
-            return (turned / whole, rate / whole) if now else (1.0 - turned / whole, -rate / whole)
+            leg = self.legs[k]
+            if leg.axis == l:
+                course = Course([leg], t)
+                return (course.share, course.pace) if now else (1.0 - course.share, -course.pace)
+            if self.scene.held:
+                return np.full(len(t), float(now)), np.zeros(len(t))
+            # Straight from reading to reading; the attitude is turned by their mean.
+            return np.full(len(t), 0.5), np.full(len(t), (1.0 if now else -1.0) / leg.duration)
 
-        def error_of(x):
-            errors = self.none
-            errors.angle = (
-                l,
-                lambda k, t, angle, speed: x * share(k, t)[0],
-                lambda k, t, angle, speed: x * share(k, t)[1],
-            )
-            return errors
-
-        return error_of
+        return lambda x: replace(self.none, angle=(l, lambda k, t, *_: [x * of for of in share(k, t)]))
 
     # --- the rows -----------------------------------------------------------------------------------------------------
 
@@ -261,35 +229,25 @@ class Simulator:
         """Columns of the channels' own terms by reported name, over `rows`."""
         scene, rows = self.scene, self.rows()
         centre, scale, rate_scale = scene.centre_and_scale
-        found: dict[str, np.ndarray] = {}
-
-        def add(name, segment, row, value):
-            found.setdefault(name, np.zeros(len(rows)))[row] = value
-
+        found = defaultdict[str, np.ndarray](lambda: np.zeros(len(rows)))
         for row, (k, c) in enumerate(rows):
             t, w = self.nodes[k]
             rate, force = self.seen(k, t, self.none)
             x = (scene.temperature[0] + scene.temperature[1] * (self.times[k] + t) - centre) / scale
-            i, others = c % 3, [j for j in range(3) if j != c % 3]
+            name, vector, bias = ("gyro", rate, "a") if c < 3 else ("accelerometer", force, "b")
+            name, own = f"{name}_{AXES[c % 3]}.", vector[:, c % 3]
             for q in range(scene.powers[0] + 1):
-                if c < 3:
-                    add(f"gyro_{AXES[i]}.a{q}", k, row, w @ x**q)
-                    for r in range(scene.powers[1] + 1):
-                        value = w @ (x**q * (rate[:, i] / rate_scale) ** r * rate[:, i])
-                        add(f"gyro_{AXES[i]}.b{r}{q}", k, row, value)
-                    for j in others:
-                        add(f"gyro_{AXES[i]}.m_{AXES[j]}{q}", k, row, w @ (x**q * rate[:, j]))
-                else:
-                    add(f"accelerometer_{AXES[i]}.b{q}", k, row, w @ x**q)
-                    add(f"accelerometer_{AXES[i]}.s{q}", k, row, w @ (x**q * force[:, i]))
-                    for j in others:
-                        add(f"accelerometer_{AXES[i]}.m_{AXES[j]}{q}", k, row, w @ (x**q * force[:, j]))
-            for j in range(3):
-                if c < 3:
-                    add(f"gyro_{AXES[i]}.g_{AXES[j]}", k, row, w @ force[:, j])
+                found[f"{name}{bias}{q}"][row] = w @ x**q
+                for j in {0, 1, 2} - {c % 3}:
+                    found[f"{name}m_{AXES[j]}{q}"][row] = w @ (x**q * vector[:, j])
+                for r in range(scene.powers[1] + 1 if c < 3 else 0):
+                    found[f"{name}b{r}{q}"][row] = w @ (x**q * (own / rate_scale) ** r * own)
+                if c >= 3:
+                    found[f"{name}s{q}"][row] = w @ (x**q * own)
             if c >= 3:
-                name = f"accelerometer_{AXES[i]}"
-                add(f"{name}.k2", k, row, w @ force[:, i] ** 2)
+                found[f"{name}k2"][row] = w @ own**2
+            for j in range(3 if c < 3 else 0):
+                found[f"{name}g_{AXES[j]}"][row] = w @ force[:, j]
         return found
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -392,7 +350,7 @@ class Simulator:
         columns = self.columns()
         stds = np.array([self.prior_of(name) for name in columns])
         prior = np.diag(1.0 / stds)
-        found, _ = dense_gls(np.array(list(columns.values())).T, self.covariance(), prior)
+        found = dense_gls(np.array(list(columns.values())).T, self.covariance(), prior)
         return dict(zip(columns, found, strict=True))
 
     def prior_of(self, name: str) -> float:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_scene import spec_of
 
 import gradcal_jax as gj
 from gradcal_jax.cli.check import omitted_lines
@@ -11,7 +12,6 @@ from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.absent import attitude_sentences
 from gradcal_jax.spec.requirement import GyroBiasRequirement
-from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
 
@@ -28,29 +28,19 @@ PLAY = [{"width": "5 K", "prior": "4 deg/h/K"}]
 def required(programme, gyro: dict[str, Any], **requirement: Any) -> Spec:
     """A standing gyro, read every 5 s, with a requirement on its bias from 10 to 50 degC."""
     temperature = {"degree": 1, "centre": "30 degC", "scale": "30 K"}
-    own = {"axes": ["z"], "angle_random_walk": "0.2 deg/sqrt(h)", "grade": None}
-    del own["grade"]
-    axis = {
-        "name": "turn", "direction": [0, 0, 1], "max_rate": "100 deg/s", "max_acceleration": "100 deg/s^2",
-        "angle": {"reading_noise": "1 arcsec", "standstill_offset": "0 arcsec", "read_every": "5 s", "harmonics": []},
-    }  # fmt: skip
-    return spec_of({
-        "format": "gradcal-spec/1",
-        "sensor": {
-            "grade": "tactical", "clock": "sensor", "sample_clock_error": "0 ppm", "temperature_offset": "0 K",
-            "temperature_lag": "0 s", "thermal_lag": "0 s",
-            "gyro": own | NONE | {"bias": {"temperature": temperature, "prior": "100 deg/h"}} | gyro,
+    own = {"axes": ["z"], "angle_random_walk": "0.2 deg/sqrt(h)"} | NONE
+    of = {"name": "bias", "quantity": "gyro_bias", "temperature": ["10 degC", "50 degC"], "grid": [5]}
+    return gj.changed(
+        spec_of(ways=1, plays=False),
+        {
+            "sensor.gyro": own | {"bias": {"temperature": temperature, "prior": "100 deg/h"}} | gyro,
+            "rig.site.latitude": "40 deg",
+            "rig.table.axis[0].angle.reading_noise": "1 arcsec",
+            "rig.table.axis[0].angle.read_every": "5 s",
+            "requirement": [of | requirement],
+            "plan.programme": programme,
         },
-        "rig": {
-            "site": {"latitude": "40 deg", "gravity": "9.8 m/s^2"},
-            "table": {"axis": [axis], "standing": "read", "tilt": "0 deg", "azimuth": "0 deg"},
-            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "3 K/min", "max_cooling": "3 K/min"},
-        },
-        "requirement": [
-            {"name": "bias", "quantity": "gyro_bias", "temperature": ["10 degC", "50 degC"], "grid": [5], **requirement}
-        ],
-        "plan": {"method": "gradient", "programme": programme},
-    })  # fmt: skip
+    )
 
 
 def deviations(spec: Spec, sign: float, slope: float = 0.0) -> np.ndarray:

@@ -5,9 +5,9 @@ The twin draws positions and turns of its own, and writes what each sensor says 
 
 from dataclasses import replace
 
-import imu_twin
 import numpy as np
 import pytest
+from imu_twin import OMEGA, said_by
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +17,7 @@ from gradcal_jax.records.log import Log, LogError
 
 G = 9.81
 LATITUDE = np.radians(45.0)
-EARTH = imu_twin.OMEGA * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
+EARTH = OMEGA * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
 AT = {"temperature_c": 23.0}
 HZ = 50.0
 WHITE = {"gyro": 0.15 / 60.0 * np.pi / 180.0, "accelerometer": 0.05 / 60.0}  # rad/√s, m/s/√s
@@ -25,35 +25,13 @@ WHITE = {"gyro": 0.15 / 60.0 * np.pi / 180.0, "accelerometer": 0.05 / 60.0}  # r
 
 def drawn(rng: np.random.Generator) -> dict[str, float]:
     """Errors of a unit in the accelerometers' frame, by the names of the file's coefficients (SI)."""
-    truth = {}
+    sizes = {}
     for j, a in enumerate("xyz"):
-        truth |= {f"gyro_{a}.a": 0.01 * rng.standard_normal(), f"gyro_{a}.b00": 0.01 * rng.standard_normal()}
-        truth |= {f"gyro_{a}.m_{b}": 0.01 * rng.standard_normal() for b in "xyz" if b != a}
-        truth |= {f"gyro_{a}.g_{b}": 1e-5 * rng.standard_normal() for b in "xyz"}
-        truth |= {f"accelerometer_{a}.a": 0.1 * rng.standard_normal()}
-        truth |= {f"accelerometer_{a}.s": 0.01 * rng.standard_normal()}
-        truth |= {f"accelerometer_{a}.m_{b}": 0.01 * rng.standard_normal() for b in "xyz"[:j]}
-    return truth
-
-
-def said(truth: dict[str, float], kind: str, omega: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """What three sensors of a kind say of true rates and forces (n, 3): each multiplies what is along its own axis."""
-    own = omega if kind == "gyro" else f
-    leans = np.array([[float(a == b) or truth.get(f"{kind}_{a}.m_{b}", 0.0) for b in "xyz"] for a in "xyz"])
-    along = own @ leans.T
-    out = along.copy()
-    for j, a in enumerate("xyz"):
-        for key, value in truth.items():
-            symbol = key.partition(".")[2]
-            if not key.startswith(f"{kind}_{a}.") or symbol.startswith("m_"):
-                continue
-            if symbol == "a":
-                out[:, j] += value
-            elif symbol in ("s", "b00"):
-                out[:, j] += value * along[:, j]
-            else:
-                out[:, j] += value * f[:, "xyz".index(symbol[2])]
-    return out
+        sizes |= {f"gyro_{a}.a": 0.01, f"gyro_{a}.b00": 0.01} | {f"gyro_{a}.m_{b}": 0.01 for b in "xyz" if b != a}
+        sizes |= {f"gyro_{a}.g_{b}": 1e-5 for b in "xyz"}
+        sizes |= {f"accelerometer_{a}.a": 0.1, f"accelerometer_{a}.s": 0.01}
+        sizes |= {f"accelerometer_{a}.m_{b}": 0.01 for b in "xyz"[:j]}
+    return {name: size * rng.standard_normal() for name, size in sizes.items()}
 
 
 def path(x, attitude, change, swing, amount) -> Rotation:
@@ -110,11 +88,10 @@ def held(
             own[:5], own[-5:] = -1, -1
             standing.append(own)
     omega, force = np.concatenate(rates), np.concatenate(forces)
-    rate, felt = said(truth, "gyro", omega, force), said(truth, "accelerometer", omega, force)
+    rate, felt = (said_by(truth, kind, of, force, 0.0) for kind, of in (("gyro", omega), ("accelerometer", force)))
     # A record without any noise would count as frozen.
-    size = 1.0 if noisy else 1e-8
-    rate += size * WHITE["gyro"] * np.sqrt(HZ) * rng.standard_normal(rate.shape)
-    felt += size * WHITE["accelerometer"] * np.sqrt(HZ) * rng.standard_normal(felt.shape)
+    for of, white in ((rate, WHITE["gyro"]), (felt, WHITE["accelerometer"])):
+        of += (1.0 if noisy else 1e-8) * white * np.sqrt(HZ) * rng.standard_normal(of.shape)
     return Log(
         np.arange(len(rate)) / HZ, rate[None], ("SN 7",), tuple("xyz"), standstill=np.concatenate(standing),
         specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"), simulated=True,

@@ -1,6 +1,5 @@
 """What no plan can tell of a whole unit: the gauge freedoms, and what a plan that lacks something is told."""
 
-import copy
 from itertools import product
 
 import numpy as np
@@ -21,6 +20,7 @@ from imu_helpers import (
 
 from gradcal_jax import model
 from gradcal_jax.information.prediction import predict
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import spec_of
 
 _AXES = "xyz"
@@ -95,25 +95,15 @@ def test_with_everything_free_the_null_space_is_the_gauge_and_nothing_else():
 # --- sentences --------------------------------------------------------------------------------------------------------
 
 
-def sentences(moves, **changes) -> tuple[str, ...]:
-    """Warnings of `hand` with another cycle, over five kelvin."""
-    document = copy.deepcopy(shipped("hand"))
-    document["requirement"] = []
-    document["plan"] = document["plan"] | {"temperature": ["20 degC", "30 degC"], "cycle": {"moves": moves}}
-    for triad in ("gyro", "accelerometer"):
-        for name in ("bias", "scale_factor", "misalignment"):
-            document["sensor"][triad][name].pop("temperature", None)
+def sentences(moves, changes=None) -> tuple[str, ...]:
+    """Warnings of `hand` with another cycle, over ten kelvin."""
     flat = {"degree": 0, "centre": "20 degC", "scale": "50 K"}
-    document["sensor"]["gyro"]["bias"]["temperature"] = flat
-    document["sensor"]["gyro"]["scale_factor"]["temperature"] = flat
-    document["sensor"]["gyro"]["scale_factor"]["rate"] = {"degree": 0, "scale": "300 deg/s"}
-    for key, value in changes.items():
-        at, *path = key.split("__")
-        part = document[at]
-        for name in path[:-1]:
-            part = part[int(name)] if name.isdigit() else part[name]
-        part[path[-1]] = value
-    return predict(spec_of(document)).warnings
+    triads, maps = ("gyro", "accelerometer"), ("bias", "scale_factor", "misalignment")
+    keys = dict.fromkeys(f"sensor.{triad}.{of}.temperature" for triad in triads for of in maps)
+    keys |= {"requirement": [], "plan.temperature": ["20 degC", "30 degC"], "plan.cycle": {"moves": moves}}
+    keys |= {f"sensor.gyro.{of}.temperature": flat for of in maps[:2]}
+    keys["sensor.gyro.scale_factor.rate"] = {"degree": 0, "scale": "300 deg/s"}
+    return predict(changed(spec_of(shipped("hand")), keys | (changes or {}))).warnings
 
 
 def go(tilt, spin, seconds="8 s") -> dict:
@@ -159,17 +149,17 @@ def test_a_plan_that_lacks_something_is_told_what(moves, name, remedy):
     ("changes", "said", "limits"),
     [
         (
-            {"sensor__sample_clock_error": "200 ppm", "sensor__clock": "sensor"},
+            {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"},
             "the plan does not reduce the uncertainty of sample_clock (200 ppm)",
             "gyro_x.b00",
         ),
         (
-            {"rig__site__gravity_accuracy": "500 ug"},
+            {"rig.site.gravity_accuracy": "500 ug"},
             "the plan does not reduce the uncertainty of gravity (500 ug)",
             "accelerometer_x.s",
         ),
         (
-            {"sensor__frame": "case", "rig__table__mounting": {"accuracy": "1 mrad"}},
+            {"sensor.frame": "case", "rig.table.mounting": {"accuracy": "1 mrad"}},
             "the plan does not reduce the uncertainty of mounting1_x, mounting1_y, mounting1_z (1e+03 urad)",
             "accelerometer_y.m_x",
         ),
@@ -177,7 +167,7 @@ def test_a_plan_that_lacks_something_is_told_what(moves, name, remedy):
     ids=["clock", "gravity", "mounting"],
 )
 def test_a_freedom_that_its_prior_alone_limits_is_said_with_what_it_limits(changes, said, limits):
-    found = sentences(_EVERYTHING, **changes)
+    found = sentences(_EVERYTHING, changes)
     assert len(found) == 1
     assert found[0].startswith(said), found
     assert limits in found[0]

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loop_scene import spec_of
 
 from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.records.log import Log
-from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -32,42 +33,25 @@ def log_until_warmest() -> Log:
 
 
 def without_plays() -> Spec:
-    plain = {"degree": 3, "centre": "30 degC", "scale": "50 K"}
-    gyro = {
-        "angle_random_walk": "0.6 deg/sqrt(h)", "rate_random_walk": "0 deg/h/sqrt(h)", "turn_on_bias": "0 deg/h",
-        "drift": [{"standard_deviation": "250 deg/h", "correlation_time": "20 min"}],
-        "temperature_error": {"standard_deviation": "0 K"}, "bias_temperature_gradient": "0 deg/h/(K/min)",
-        "bias": {"temperature": plain, "prior": "5000 deg/h"},
-    }  # fmt: skip
-    axis = {
-        "name": "turn", "direction": [0, 0, 1], "max_rate": "100 deg/s", "max_acceleration": "100 deg/s^2",
-        "angle": {
-            "reading_noise": "1 arcsec", "standstill_offset": "0 arcsec", "read_every": "30 s", "harmonics": []
-        },
-    }  # fmt: skip
-    return spec_of({
-        "format": "gradcal-spec/1",
-        "sensor": {"temperature_offset": "0 K", "temperature_lag": "0 s", "gyro": gyro},
-        "rig": {
-            "site": {"latitude": "45 deg", "gravity": "9.8 m/s^2"},
-            "table": {"axis": [axis], "standing": "read", "tilt": "0 deg", "azimuth": "0 deg"},
-            "chamber": {"range": ["-40 degC", "90 degC"], "max_heating": "10 K/min", "max_cooling": "10 K/min"},
-        },
-        "requirement": [
-            {
-                "name": "bias", "quantity": "gyro_bias", "temperature": ["-15 degC", "72 degC"], "branch": "both",
-                "target": "800 deg/h", "coverage": 2.0,
-            }
-        ],
-        "plan": {
-            "method": "gradient",
-            "programme": [
+    cubic = {"degree": 3, "centre": "30 degC", "scale": "50 K"}
+    of = {"name": "bias", "quantity": "gyro_bias", "temperature": ["-15 degC", "72 degC"], "branch": "both"}
+    return changed(
+        spec_of(ways=2, plays=False),
+        {
+            "sensor.gyro.angle_random_walk": "0.6 deg/sqrt(h)",
+            "sensor.gyro.drift": [{"standard_deviation": "250 deg/h", "correlation_time": "20 min"}],
+            "sensor.gyro.bias_temperature_gradient": "0 deg/h/(K/min)",
+            "sensor.gyro.bias": {"temperature": cubic, "prior": "5000 deg/h"},
+            "rig.table.axis[0].angle.reading_noise": "1 arcsec",
+            "rig.chamber.range": ["-40 degC", "90 degC"],
+            "requirement": [of | {"target": "800 deg/h", "coverage": 2.0}],
+            "plan.programme": [
                 {"soak": "1 min", "at": "52 degC"},
                 {"ramp_to": "-17 degC", "rate": "3 K/min"},
                 {"ramp_to": "74 degC", "rate": "3 K/min"},
             ],
         },
-    })  # fmt: skip
+    )
 
 
 def test_without_the_term_heating_and_cooling_disagree():

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimate_scenes import draw_truth, record, scene
+from estimate_scenes import draw_truth, scene
+from imu_twin import record
 
 from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.records.log import Log, LogError

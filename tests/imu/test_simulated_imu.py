@@ -15,7 +15,7 @@ SPEC = parse_spec(presets.text("two-axis-table"))
 RATE_HZ = 500.0
 LEGS = [
     twin.Leg(-1, 0.5),
-    twin.Leg(1, 2.1, np.radians(300.0), np.radians(200.0), 0.6),
+    twin.Leg(1, 2.1, np.radians(300.0), 0.6),
 ]
 
 
@@ -27,7 +27,7 @@ class Course(AxisPlant):
         self.axis = axis
 
     def position(self, times_s):
-        return np.degrees(twin.commanded(LEGS, (0.3, -1.1), times_s)[0][:, self.axis])
+        return np.degrees(twin.Course(LEGS, times_s).along(twin.angles_of(LEGS, (0.3, -1.1)))[0][:, self.axis])
 
 
 class Oven(ChamberPlant):

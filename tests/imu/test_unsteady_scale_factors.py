@@ -1,7 +1,8 @@
 """A scale factor that is unsteady multiplies all that a sensor senses, what it senses across its axis included."""
 
 import numpy as np
-from estimate_scenes import draw_truth, record, scene
+from estimate_scenes import draw_truth, scene
+from imu_twin import record
 
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows

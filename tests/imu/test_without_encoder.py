@@ -1,12 +1,10 @@
 """Gravity as the only reference of a table's angles: what a spec may say, what is predicted, counted and estimated."""
 
-from dataclasses import replace
-
-import imu_twin
 import numpy as np
 import pytest
 import unguided
-from estimate_scenes import draw_truth, record, scene
+from estimate_scenes import draw_truth, scene
+from imu_twin import record
 
 import gradcal_jax as gj
 from gradcal_jax.estimation.estimate import estimate_sensors
@@ -138,27 +136,22 @@ def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
     """Fewer linearisations than the angles need: nothing is reported as if they stood."""
     monkeypatch.setattr("gradcal_jax.estimation.fit_of_log._LINEARISED", 0)
     spec = without_encoder(scene("two axes", 0.1))
-    usual = imu_twin.bench_of
-    monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=(0.05, 0.05)))
     rng = np.random.default_rng(5)
     truth = draw_truth(spec, rng)
     with pytest.raises(LogError, match="do not converge"):
-        estimate_sensors(spec, record(spec, truth, rng))
+        estimate_sensors(spec, record(spec, truth, rng, offset=0.05))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("plan", "spoilt"), [("two axes", 5.0), pytest.param("by hand", 20.0, marks=pytest.mark.evidence)]
 )
-def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
+def test_angles_that_nobody_knows_are_estimated(plan, spoilt):
     """The table stands degrees beside the plan, by a twin of quaternions, and the log's angles are the plan's."""
     spec = without_encoder(scene(plan, 0.1))
-    usual = imu_twin.bench_of
-    off = (np.radians(spoilt),) * len(spec.rig.table.axis)
-    monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=off))
     rng = np.random.default_rng(5)
     truth = draw_truth(spec, rng)
-    (report,) = estimate_sensors(spec, record(spec, truth, rng))
+    (report,) = estimate_sensors(spec, record(spec, truth, rng, offset=np.radians(spoilt)))
     model, solution = report.built.model, report.solution
     own = slice(model.calibrated)
     error = (model.to_reported @ solution.parameters - np.array([truth[name] for name in model.names()]))[own]

@@ -7,7 +7,9 @@ from report_samples import calibration, recipe
 import gradcal_jax as gj
 from gradcal_jax.estimation.validation import AxisValidation, Cell, acceptances
 from gradcal_jax.information import statistic
+from gradcal_jax.information.residual import residual_of
 from gradcal_jax.information.verdicts import decision_rule, limit_of, verdict_of
+from gradcal_jax.model.build import build_imu
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +62,14 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
     name, limit = limit_of(requirement)
     assert name == "mean of max"
     assert limit == pytest.approx(float(requirement.target) * 1e6 / requirement.coverage)
+
+
+def test_a_sweep_of_requirements_does_not_keep_all_of_their_grids():
+    """Megabytes each, of a model that is the same at every point."""
+    spec, models = gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), set()
+    for k in range(100):
+        built = build_imu(gj.changed(spec, {"requirement[0].target": f"{50 + k} ppm"}))
+        models.add(id(built.model))
+        residual_of(built, built.spec.requirement[0])
+    assert len(models) == 1
+    assert len(vars(built.model)["_grids"]) < 50

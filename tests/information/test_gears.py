@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimate_scenes import draw_truth, record, scene
+from estimate_scenes import draw_truth, scene, squared
+from imu_twin import record
 from scipy import stats
 
 import gradcal_jax as gj
-from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information.error_budget import ErrorBudget
@@ -57,15 +58,7 @@ def estimated(
     truth = draw_truth(spec, rng)
     logs = [geared(log, np.array(ratios), np.array(play_deg), begins) for log in record(spec, truth, rng)]
     (report,) = estimate_sensors(stated(spec, sizes), logs)
-    return report, np.array(list(truth.values()))
-
-
-def squared(report: SensorEstimate, truth: np.ndarray) -> float:
-    white = np.linalg.solve(
-        report.solution.known.spread,
-        report.solution.parameters - np.linalg.solve(report.built.model.to_reported, truth),
-    )
-    return float(white @ white)
+    return report, truth
 
 
 @pytest.mark.parametrize(

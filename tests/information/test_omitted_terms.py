@@ -275,16 +275,11 @@ def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
 
 # --- whole units ------------------------------------------------------------------------------------------------------
 
-UNIT = gj.presets.text("ferraris")
-
-
-def of_unit(spec, name):
-    return next(row for row in gj.predict(spec).requirements if row.name == name)
+UNIT = parse_spec(gj.presets.text("ferraris"))
 
 
 def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
-    spec = parse_spec(UNIT)
-    prediction = gj.predict(spec)
+    spec, prediction = UNIT, gj.predict(UNIT)
     row = prediction.requirements[0]
     assert row.with_typical > row.decisive
     assert {"sensor.gyro.turn_on_bias", "sensor.temperature_offset"} <= {t.key for t in prediction.omitted}
@@ -292,25 +287,25 @@ def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
     full = with_typical(spec)
     assert absent_terms(full) == []
     # An estimate that knows of the table's scale error weighs the readings by it: it errs a little less.
-    assert 0.99 * row.with_typical < of_unit(full, "gyro scale factor").decisive < row.with_typical
+    assert 0.99 * row.with_typical < left(full, "gyro scale factor").decisive < row.with_typical
     target = f"{1.5 * row.judged:.6f} ppm"
-    assert of_unit(gj.changed(spec, {"requirement[0].target": target}), row.name).verdict == "met"
+    assert left(gj.changed(spec, {"requirement[0].target": target}), row.name).verdict == "met"
     twice = gj.changed(spec, {"requirement[0].target": target, "requirement[0].coverage": 2})
-    assert of_unit(twice, row.name).verdict == "missed"
-    assert "2 ×" in of_unit(twice, row.name).rule
+    assert left(twice, row.name).verdict == "missed"
+    assert "2 ×" in left(twice, row.name).rule
 
 
 def test_a_clock_does_not_scale_a_force_unless_it_is_a_velocity_increment():
     """199 ppm of the accelerometers' scale factor were the clock's."""
-    bare = of_unit(parse_spec(UNIT), "accelerometer scale factor")
-    spec = gj.changed(parse_spec(UNIT), {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
-    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
+    bare = left(UNIT, "accelerometer scale factor")
+    spec = gj.changed(UNIT, {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
+    assert left(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
     spec = gj.changed(spec, {"sensor.accelerometer.velocity_increments": True})
-    assert of_unit(spec, "accelerometer scale factor").decisive > 190.0
-    assert of_unit(spec, "gyro scale factor").decisive > 190.0
+    assert left(spec, "accelerometer scale factor").decisive > 190.0
+    assert left(spec, "gyro scale factor").decisive > 190.0
     # The computer's clock ends the question.
     spec = gj.changed(spec, {"sensor.clock": "host"})
-    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=0.01)
+    assert left(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=0.01)
 
 
 # --- estimates --------------------------------------------------------------------------------------------------------

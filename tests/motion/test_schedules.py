@@ -69,6 +69,17 @@ def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
     assert set(plan.pieces.move[line.moving].tolist()) == {1}
 
 
+def test_a_stretch_that_is_not_used_is_a_gap_without_readings_and_cycles_begin_anew_behind_it():
+    moves = (trajectory.rest(4.0, 2.0), trajectory.turn("cosine ramps", 1.0, 6.0, ramp=3.0))
+    programme = trajectory.programme(0.0, [(5.0, 0.0), (12.0, 0.2), (6.0, 0.0), (14.0, 0.2), (2.0, 0.0)])
+    line = trajectory.gradient_plan(programme, moves, used=((1, 2), (3, 4)), read_every=None).trajectory()
+    end = line.start + line.duration
+    assert (line.start[0], end[-1]) == (5.0, 37.0)
+    np.testing.assert_allclose((line.start[line.gap], end[line.gap]), [[17.0], [23.0]], atol=1e-12)
+    np.testing.assert_allclose(end[line.read], [7, 9, 15, 17, 25, 27, 33, 37], atol=1e-12)
+    assert not line.moving[line.gap].any()
+
+
 def test_moves_that_fit_nowhere_are_refused():
     with pytest.raises(ValueError, match="longer than every used part"):
         trajectory.gradient_plan(trajectory.programme(0.0, [(5.0, 0.1)]), (trajectory.rest(6.0),))

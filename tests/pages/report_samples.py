@@ -1,7 +1,7 @@
 """A small recipe, the rehearsed run of it, and a calibration of known numbers: pages of them take no minute."""
 
+import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,50 +14,48 @@ from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import Spec, parse_spec
 from gradcal_jax.tables.writing import write_toml
 
-TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
-BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
+CHANGES = """
+title = "A small plan <of & for> a page"
+"sensor.gyro.scale_factor.temperature.degree" = 1
+"sensor.gyro.scale_factor.rate.degree" = 1
+"sensor.gyro.scale_factor.prior" = "5000 ppm"
+"rig.table.axis[0].max_acceleration" = "300 deg/s^2"
+"plan.temperature" = ["20 degC", "26 degC"]
+"plan.soak" = "60 s"
+["sensor.gyro.bias"]
+temperature = { degree = 1, centre = "20 degC", scale = "50 K" }
+prior = "200 deg/h"
+["plan.cycle"]
+moves = [
+  { rest = "5 s", read_every = "1 s" },
+  { turn = "720 deg", peak_rate = "200 deg/s", shape = "cosine ramps" },
+  { rest = "5 s", read_every = "1 s" },
+  { turn = "-720 deg", peak_rate = "100 deg/s", shape = "cosine ramps" },
+]
+[[requirement]]
+name = "all rates"
+quantity = "gyro_scale_factor"
+temperature = ["20 degC", "26 degC"]
+rate = ["-200 deg/s", "200 deg/s"]
+target = "2000 ppm"
+grid = [11, 21]
+[[requirement]]
+name = "slow"
+quantity = "gyro_scale_factor"
+temperature = ["21 degC", "25 degC"]
+rate = ["-50 deg/s", "50 deg/s"]
+grid = [5, 11]
+[[requirement]]
+name = "at rest"
+quantity = "gyro_bias"
+temperature = ["20 degC", "26 degC"]
+grid = [11]
+"""
 
 
 def spec(**changes: object) -> Spec:
     """The paper's sensor with maps of degree one, for six minutes at room temperature."""
-    return changed(
-        parse_spec(presets.text("paper-dynamic-gradient")),
-        {
-            "title": "A small plan <of & for> a page",
-            "sensor.gyro.scale_factor.temperature.degree": 1,
-            "sensor.gyro.scale_factor.rate.degree": 1,
-            "sensor.gyro.scale_factor.prior": "5000 ppm",
-            "sensor.gyro.bias": {
-                "temperature": {"degree": 1, "centre": "20 degC", "scale": "50 K"},
-                "prior": "200 deg/h",
-            },
-            "rig.table.axis[0].max_acceleration": "300 deg/s^2",
-            "requirement": [
-                {
-                    "name": "all rates",
-                    "quantity": "gyro_scale_factor",
-                    "temperature": ["20 degC", "26 degC"],
-                    "rate": ["-200 deg/s", "200 deg/s"],
-                    "target": "2000 ppm",
-                    "grid": [11, 21],
-                },
-                {
-                    "name": "slow",
-                    "quantity": "gyro_scale_factor",
-                    "temperature": ["21 degC", "25 degC"],
-                    "rate": ["-50 deg/s", "50 deg/s"],
-                    "grid": [5, 11],
-                },
-                {"name": "at rest", "quantity": "gyro_bias", "temperature": ["20 degC", "26 degC"], "grid": [11]},
-            ],
-            "plan.temperature": ["20 degC", "26 degC"],
-            "plan.soak": "60 s",
-            "plan.cycle": {
-                "moves": [{"rest": "5 s", "read_every": "1 s"}, TURN, {"rest": "5 s", "read_every": "1 s"}, BACK]
-            },
-            **changes,
-        },
-    )
+    return changed(parse_spec(presets.text("paper-dynamic-gradient")), tomllib.loads(CHANGES) | changes)
 
 
 def recipe() -> Recipe:
@@ -79,62 +77,42 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
     """Coefficients and covariance of the recipe's bases, drawn; their results are those of that covariance."""
     random = np.random.default_rng(seed)
     sensor = made.spec.sensor.gyro
-    assert sensor is not None
-    assert sensor.bias is not None
-    assert sensor.scale_factor is not None
     bias, scale = ["a0", "a1"], ["b00", "b10", "b01", "b11"]
     sizes = np.array([1e-4] * len(bias) + [1e-3] * len(scale))
     values = sizes * random.standard_normal(len(sizes))
     mixed = random.standard_normal((len(sizes), 2 * len(sizes)))
     covariance = np.outer(sizes, sizes) * 1e-3 * (mixed @ mixed.T)
-    tables: dict[str, Any] = {
-        "format": FORMAT,
-        "title": made.title,
-        "serial_number": "unit <7>",
-        "simulated": True,
-        "frame": "the sensor's own axes x",
-        "order": ORDER,
-        "channel": [
-            {
-                "kind": "gyro",
-                "axis": "x",
-                "valid_temperature": ("20 degC", "26 degC"),
-                "valid_rate": ("-200 deg/s", "200 deg/s"),
-                "term": [
-                    {
-                        "name": "bias",
-                        "unit": "rad/s",
-                        "temperature": sensor.bias.temperature,
-                        "coefficients": dict(zip(bias, values[: len(bias)].tolist(), strict=True)),
-                    },
-                    {
-                        "name": "scale_factor",
-                        "unit": "1",
-                        "signals": ["rate x"],
-                        "temperature": sensor.scale_factor.temperature,
-                        "rate": sensor.scale_factor.rate,
-                        "coefficients": dict(zip(scale, values[len(bias) :].tolist(), strict=True)),
-                    },
-                ],
-            }
-        ],
-        "covariance": {
-            "names": [f"gyro_x.{name}" for name in (*bias, *scale)],
-            "matrix": tuple(map(tuple, covariance.tolist())),
-        },
-        "noise": {"angle_random_walk": "0.1 deg/sqrt(h)"},
-        "result": [
-            {
-                "name": "all rates",
-                "axis": "x",
-                "quantity": "gyro_scale_factor",
-                "statistic": "mean of max, 1 sigma",
-                "value": 123.456,
-                "unit": "ppm",
-                "target": 2000.0,
-                "verdict": "met",
-            }
-        ],
-        "provenance": {"program": "gradcal", "estimator": "least squares", "recipe": made.fingerprint},
-    }
-    return Calibration.model_validate(tables)
+    tables = tomllib.loads(CALIBRATION)
+    of_bias, of_scale = tables["channel"][0]["term"]
+    of_bias |= {"temperature": sensor.bias.temperature}
+    of_scale |= {"temperature": sensor.scale_factor.temperature, "rate": sensor.scale_factor.rate}
+    of_bias["coefficients"] = dict(zip(bias, values[: len(bias)].tolist(), strict=True))
+    of_scale["coefficients"] = dict(zip(scale, values[len(bias) :].tolist(), strict=True))
+    names = [f"gyro_x.{name}" for name in (*bias, *scale)]
+    tables["covariance"] = {"names": names, "matrix": tuple(map(tuple, covariance.tolist()))}
+    tables["provenance"]["recipe"] = made.fingerprint
+    return Calibration.model_validate(tables | {"format": FORMAT, "title": made.title, "order": ORDER})
+
+
+CALIBRATION = """
+serial_number = "unit <7>"
+simulated = true
+frame = "the sensor's own axes x"
+noise = { angle_random_walk = "0.1 deg/sqrt(h)" }
+provenance = { program = "gradcal", estimator = "least squares" }
+[[channel]]
+kind = "gyro"
+axis = "x"
+valid_temperature = ["20 degC", "26 degC"]
+valid_rate = ["-200 deg/s", "200 deg/s"]
+term = [{ name = "bias", unit = "rad/s" }, { name = "scale_factor", unit = "1", signals = ["rate x"] }]
+[[result]]
+name = "all rates"
+axis = "x"
+quantity = "gyro_scale_factor"
+statistic = "mean of max, 1 sigma"
+value = 123.456
+unit = "ppm"
+target = 2000.0
+verdict = "met"
+"""

@@ -73,9 +73,10 @@ def readings(random: np.random.Generator, motion: Motion) -> tuple[Floats, Float
 
 
 def recording(
-    random: np.random.Generator, motion: Motion, *, begins_s: float, ends_s: float, ppm: float, walk: float = 0.15
+    random: np.random.Generator, motion: Motion, begins_s: float, ends_s: float | None = None, ppm: float = 50.0
 ) -> Recorded:
-    """100 Hz from one of the run's times to another: bias, its drift, a scale factor, noise of `walk` deg/√h."""
+    """100 Hz from one of the run's times to another or its end: bias, its drift, a scale factor, 0.15 deg/√h."""
+    ends_s = float(motion.time_s[-1]) if ends_s is None else ends_s
     rate = 1.0 + 1e-6 * ppm
     began = random.uniform(0.0, 1e5)
     count = int((ends_s - begins_s) * 100.0)
@@ -83,5 +84,5 @@ def recording(
     offset_s = begins_s - rate * began
     _, true = motion.at(offset_s + rate * time_s)
     drift = 1e-5 * np.cumsum(random.standard_normal(count)) / 10.0
-    noise = walk / 60.0 * 10.0 * random.standard_normal(count)
+    noise = 0.15 / 60.0 * 10.0 * random.standard_normal(count)
     return Recorded(time_s, (1.0005 * rate * true + 0.02 + drift + noise)[:, None], offset_s, rate)

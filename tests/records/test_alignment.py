@@ -1,5 +1,7 @@
 """Somebody else's recording laid on the run's clock: where it was made, how sure that is, and when it is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from motion_and_recording import Motion, Recorded, readings, recording, turns
@@ -46,6 +48,10 @@ def test_offset_and_slope_of_two_hundred_runs():
     assert worst.max() < 4.5
 
 
+def require_aligned(unit: Recorded, track: AngleTrack) -> None:
+    assert np.abs(errors(align(unit.time_s, unit.rate_dps, track), unit)).max() < 4.0
+
+
 def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator, Motion, AngleTrack]:
     random = np.random.default_rng(seed)
     motion = turns(random, 10, alike=alike)
@@ -54,34 +60,30 @@ def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator
 
 def test_another_run_or_another_axis_is_refused():
     random, motion, track = run_and_unit(5)
-    end = float(motion.time_s[-1])
-    other = recording(random, turns(random, 10), begins_s=0.0, ends_s=1500.0, ppm=50.0)
-    with pytest.raises(NoAlignment, match=UNKNOWN):
-        align(other.time_s, other.rate_dps, track)
-    unit = recording(random, motion, begins_s=-50.0, ends_s=end, ppm=-50.0)
+    other = recording(random, turns(random, 10), 0.0, 1500.0)
+    unit = recording(random, motion, -50.0, ppm=-50.0)
     still = 0.3 * random.standard_normal((len(unit.time_s), 1))
-    with pytest.raises(NoAlignment, match="another axis"):
-        align(unit.time_s, still, track)
-    # An axis that lies askew senses some of the turns.
-    with pytest.raises(NoAlignment, match=r"sensor measures 0\.5"):
-        align(unit.time_s, 0.5 * unit.rate_dps, track)
-    with pytest.raises(NoAlignment, match="opposite sign"):
-        align(unit.time_s, -unit.rate_dps, track)
+    for time_s, rate_dps, said in (
+        (other.time_s, other.rate_dps, UNKNOWN),
+        (unit.time_s, still, "another axis"),
+        (unit.time_s, 0.5 * unit.rate_dps, r"sensor measures 0\.5"),  # an axis that lies askew senses some of the turns
+        (unit.time_s, -unit.rate_dps, "opposite sign"),
+    ):
+        with pytest.raises(NoAlignment, match=said):
+            align(time_s, rate_dps, track)
 
 
 def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last():
     random, motion, track = run_and_unit(6, alike=True)
     end = float(motion.time_s[-1])
-    whole = recording(random, motion, begins_s=-500.0, ends_s=end + 500.0, ppm=50.0)
-    found = align(whole.time_s, whole.rate_dps, track)
-    assert np.abs(errors(found, whole)).max() < 4.0
+    whole = recording(random, motion, -500.0, end + 500.0)
+    require_aligned(whole, track)
     # What turns in one and not in the other, and the other way round, counts against a place.
     inside = (track.time_s > 98.0) & (track.time_s < end - 128.0)
     short = AngleTrack(track.time_s[inside], track.angle_deg[inside])
-    close = recording(random, motion, begins_s=95.0, ends_s=end - 125.0, ppm=50.0)
-    found = align(close.time_s, close.rate_dps, short)
-    assert np.abs(errors(found, close)).max() < 4.0
-    middle = recording(random, motion, begins_s=0.4 * end, ends_s=0.7 * end, ppm=50.0)
+    close = recording(random, motion, 95.0, end - 125.0)
+    require_aligned(close, short)
+    middle = recording(random, motion, 0.4 * end, 0.7 * end)
     with pytest.raises(NoAlignment, match="more than one start time"):
         align(middle.time_s, middle.rate_dps, track)
 
@@ -89,26 +91,23 @@ def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last
 def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm():
     random, motion, track = run_and_unit(7)
     end = float(motion.time_s[-1])
-    unit = recording(random, motion, begins_s=0.3 * end, ends_s=1.4 * end, ppm=-50.0)
-    found = align(unit.time_s, unit.rate_dps, track)
-    assert np.abs(errors(found, unit)).max() < 4.0
-    kept = np.ones(len(unit.time_s), bool)
-    kept[20000:23000] = False
-    found = align(unit.time_s[kept], unit.rate_dps[kept], track)
-    assert np.abs(errors(found, unit)).max() < 4.0
+    unit = recording(random, motion, 0.3 * end, 1.4 * end, ppm=-50.0)
+    require_aligned(unit, track)
+    kept = np.r_[:20000, 23000 : len(unit.time_s)]
+    require_aligned(replace(unit, time_s=unit.time_s[kept], rate_dps=unit.rate_dps[kept]), track)
 
 
 def test_readings_at_rest_alone_do_not_tell_the_clock():
     random, motion, track = run_and_unit(8)
     _, rate = motion.at(track.time_s)
     rests = np.abs(rate) == 0.0
-    unit = recording(random, motion, begins_s=-10.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
+    unit = recording(random, motion, -10.0)
     with pytest.raises(NoAlignment, match=f"readings|{UNKNOWN}"):
         align(unit.time_s, unit.rate_dps, AngleTrack(track.time_s[rests], track.angle_deg[rests]))
 
 
 def test_the_direction_of_the_axis_in_a_unit_is_found():
     random, motion, track = run_and_unit(9)
-    unit = recording(random, motion, begins_s=-50.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
+    unit = recording(random, motion, -50.0)
     rates = unit.rate_dps * np.array([0.6, -0.48, 0.64]) + 0.01 * random.standard_normal((len(unit.time_s), 3))
-    assert np.abs(errors(align(unit.time_s, rates, track), unit)).max() < 4.0
+    require_aligned(replace(unit, rate_dps=rates), track)

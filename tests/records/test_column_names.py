@@ -50,8 +50,7 @@ def test_a_map_is_made_from_a_header(header, tmp_path):
 def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
     path = tmp_path_factory.mktemp("guess") / "a.csv"
     path.write_text(header + ",gx [deg/s],t [s]\n", encoding="utf-8", errors="replace")
-    found = map_to_fill_in(path)
-    if found is not None and "???" not in found:
+    if "???" not in (found := map_to_fill_in(path) or "???"):
         parse_column_map(found)
 
 

@@ -51,6 +51,15 @@ def test_gaps_split_and_jitter_does_not():
     assert log.sample_interval_s == pytest.approx(0.01, rel=1e-9)
 
 
+@pytest.mark.parametrize("size", [2, 10])
+@pytest.mark.parametrize("rows_lost", [False, True])
+def test_bursts_with_losses_are_a_question(size, rows_lost):
+    k = np.arange(20_000)
+    kept = np.random.default_rng(3).random(len(k)) > 0.03 if rows_lost else (k < 8000) | (k >= 9000)
+    with pytest.raises(LogError, match="sample_rate"):
+        examine(columns(quiet(len(k))[kept], (((k // size) * size + (k % size) * 0.02) / 200.0)[kept]))
+
+
 def test_sound_stamps_are_kept_to_the_last_digit():
     for hz in (1.0, 50.0, 100.0, 1000.0):
         time = np.arange(5000) / hz + 1e-5 * np.random.default_rng(2).standard_normal(5000)
@@ -87,14 +96,10 @@ def test_a_frozen_temperature_is_found_and_a_coarse_one_is_not():
     assert "never changes" in kinds(log)["constant temperature"].message
 
 
-TIME = np.arange(3000) * 0.01
-TURNING = np.sin(TIME)
-
-
 @pytest.mark.parametrize(
     ("raw", "sentence"),
     [
-        (columns(300 * TURNING), "column map state a unit that is too large"),
+        (columns(300 * np.sin(np.arange(3000) * 0.01)), "column map state a unit that is too large"),
         (columns(quiet(2_000_000), np.arange(2_000_000)), "another unit"),  # ms as s at 1 kHz: 23 days
     ],
 )

@@ -21,10 +21,6 @@ ID = HEAD + 'sample_rate = "100 Hz"\nrate.x = { column = "gx", unit = "deg/s" }\
 RATES = np.random.default_rng(0).standard_normal((50, 3))
 
 
-def plain(extra=""):
-    return parse_column_map(PLAIN + extra)
-
-
 ROWS = [f"{10 * i},{i % 3},{20 + i / 8}" for i in range(40)]
 WARM = 'temperature = { column = "temp", unit = "degC" }\n'
 NUMBERED = 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
@@ -46,7 +42,7 @@ SKIPPED = "some words\r\n# a remark\r\n# t; gx; temp\r\n" + "\r\n".join(ROWS).re
 def test_text_tables_in_their_many_layouts(tmp_path, content, text):
     path = tmp_path / "run.csv"
     path.write_text(content, encoding="latin-1" if "latin-1" in text else "utf-8")
-    log = import_log(path, parse_column_map(text))
+    log = import_log(path, text)
     np.testing.assert_allclose(log.time_s, np.arange(40) * 0.01)
     np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(np.arange(40) % 3))
     assert log.temperature_c[0, -1] == 20 + 39 / 8
@@ -54,7 +50,7 @@ def test_text_tables_in_their_many_layouts(tmp_path, content, text):
     assert log.provenance == {"source": "run.csv"}
     if "latin-1" in text:
         with pytest.raises(LogError, match='encoding = "latin-1" or "utf-16"'):
-            import_log(path, parse_column_map(text.replace("latin-1", "utf-8")))
+            import_log(path, text.replace("latin-1", "utf-8"))
 
 
 @pytest.mark.parametrize(
@@ -78,7 +74,7 @@ def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, sentence):
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(LogError, match=sentence):
-        import_log(path, plain())
+        import_log(path, PLAIN)
 
 
 @pytest.mark.parametrize("stamp", ["2024-05-01T12:00:0{}.5Z", "12:00:0{}.5", "json"])
@@ -89,11 +85,11 @@ def test_the_conversion_that_a_message_states_gives_the_record(tmp_path, monkeyp
         path, lines = Path("a.jsonl"), [f'{{"t": {s}, "gx": {s % 3}}}\n' for s in range(9)]
     path.write_text("t,gx\n" * (stamp != "json") + "".join(lines), encoding="utf-8")
     with pytest.raises(LogError) as caught:
-        import_log(path, plain())
+        import_log(path, PLAIN)
     program = str(caught.value).partition("pandas: ")[2].partition(". Or")[0]
     with warnings.catch_warnings(action="ignore"):  # pandas guesses the format
         exec(program, {"pd": pd, "file": path, "column": "t"})
-    log = import_log(path.with_suffix(".csv"), parse_column_map(PLAIN.replace('"ms"', '"s"')))
+    log = import_log(path.with_suffix(".csv"), PLAIN.replace('"ms"', '"s"'))
     assert log.time_s.tolist() == list(range(9))
 
 
@@ -103,17 +99,17 @@ def test_rows_are_chosen_before_anything_is_judged(tmp_path):
     stamps = [*range(0, 600, 10), *range(0, 400, 10)]
     path.write_text("t,gx\n" + "".join(f"{t},{i % 3}\n" for i, t in enumerate(stamps)), encoding="utf-8")
     with pytest.raises(LogError, match=r'--rows "0\.\.60" and --rows "60\.\."'):
-        import_log(path, plain())
-    assert import_log(path, plain(), rows=(60, None)).counts() == {"used": 40, "left out": 60}
-    assert import_log(path, plain(), rows=(70, 90)).counts() == {"used": 20, "left out": 80}
+        import_log(path, PLAIN)
+    assert import_log(path, PLAIN, rows=(60, None)).counts() == {"used": 40, "left out": 60}
+    assert import_log(path, PLAIN, rows=(70, 90)).counts() == {"used": 20, "left out": 80}
     with pytest.raises(LogError, match="fewer than two rows"):
-        import_log(path, plain(), rows=(99, 120))
+        import_log(path, PLAIN, rows=(99, 120))
 
 
 def test_torn_rows_are_counted_and_the_others_kept(tmp_path):
     path = tmp_path / "torn.csv"
     path.write_text('t,gx\n0,1\n10\n20,abc\n,5\n30,"2"\n# remark\n\n40,1_0\n50,3 # said later\nnan,1\n60,4,7,8\n')
-    log = import_log(path, plain())
+    log = import_log(path, PLAIN)
     # 9 rows: two without time; of the others three without rate.
     assert log.rows_read == 9
     assert log.counts() == {"used": 4, "unreadable row": 2, "missing rate": 3}
@@ -128,7 +124,7 @@ def test_scale_zero_and_units_of_counts(tmp_path):
     text = HEAD + 'time = { column = "t", unit = "ns" }\nstatus = { column = "flags" }\n'
     text += 'temperature = { column = "f", unit = "degF" }\n'
     text += 'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
-    log = import_log(path, parse_column_map(text))
+    log = import_log(path, text)
     expected = (np.array([100.0, -32768.0, np.nan, 0.0]) - 100.0) * 8.75e-3  # the third row is masked
     np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), expected, atol=1e-12)
     np.testing.assert_allclose(log.time_s, [0, 0.01, 0.02, 0.03], rtol=1e-12)  # in spite of 1.7e18
@@ -144,7 +140,7 @@ def test_matlab_and_npy_give_what_text_gives(tmp_path):
     numbered = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
     indexed = PLAIN.replace('"gx"', '"gyro", index = 0')
     for name, text in (("run.mat", PLAIN), ("run.mat", indexed), ("run.npy", numbered)):
-        log = import_log(tmp_path / name, parse_column_map(text))
+        log = import_log(tmp_path / name, text)
         np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0]), rtol=1e-14)
         np.testing.assert_allclose(log.time_s, time / 1000)
 
@@ -158,16 +154,16 @@ def test_specific_forces_are_read_masked_and_judged(tmp_path):
     acc = 1000.0 * np.array([0.6, 0.0, 0.8]) + 5.0 * rng.standard_normal((n, 3))
     acc[7, 1] = np.nan
     np.savez(path, t=np.arange(n) * 10.0, gx=0.1 * rng.standard_normal(n), acc=acc, counts=np.full((n, 3), 33000))
-    log = import_log(path, plain(FORCES))
+    log = import_log(path, PLAIN + FORCES)
     acc[7] = np.nan  # masked
     np.testing.assert_allclose(log.specific_force_m_per_s2[0], 9.80665e-3 * acc, rtol=1e-12)
     assert log.counts() == {"used": n - 1, "missing force": 1}
-    assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
+    assert import_log(path, PLAIN + FORCES, rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
     counts = FORCES.replace('"acc"', '"counts"').replace('"mg"', '"m/s^2"')
     for wrong in (FORCES.replace('"mg"', '"m/s^2", scale = 1e-3'), counts):
         with pytest.raises(LogError, match="is its unit g, or counts"):
-            import_log(path, plain(wrong))
-    kept = import_log(path, plain(counts + "[policy]\nvalues = 'keep'\n"))
+            import_log(path, PLAIN + wrong)
+    kept = import_log(path, PLAIN + counts + "[policy]\nvalues = 'keep'\n")
     assert [finding.kind for finding in kept.findings] == ["question"]
     assert kept.specific_force_m_per_s2[0, 0, 2] == 33000.0
 
@@ -196,19 +192,18 @@ def test_a_faulty_column_map_is_told_by_key(text, sentence):
 
 
 def test_pickles_directories_and_missing_files_are_refused(tmp_path):
-    np.savez(tmp_path / "p.npz", t=np.arange(3.0), gx=np.array([None, 1, 2], object))
-    np.savez(tmp_path / "w.npz", t=np.arange(3.0), gx=np.array(["a", "b", "c"]))
-    np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
     (tmp_path / "d.csv").mkdir()
-    for name, sentence in (
-        ("p.npz", "without pickles"),
-        ("w.npz", "has no numbers"),
-        ("l.npz", "different numbers of rows"),
-        ("d.csv", "is a directory"),
-        ("none.csv", "does not exist"),
+    for name, values, sentence in (
+        ("p.npz", np.array([None, 1, 2], object), "without pickles"),
+        ("w.npz", ["a", "b", "c"], "has no numbers"),
+        ("l.npz", [1.0, 2.0], "different numbers of rows"),
+        ("d.csv", None, "is a directory"),
+        ("none.csv", None, "does not exist"),
     ):
+        if values is not None:
+            np.savez(tmp_path / name, t=np.arange(3.0), gx=values)
         with pytest.raises(LogError, match=sentence):
-            import_log(tmp_path / name, plain())
+            import_log(tmp_path / name, PLAIN)
     with pytest.raises(SpecError, match="does not exist"):
         read_column_map(tmp_path / "none.toml")
 
@@ -219,7 +214,7 @@ def test_a_table_and_what_is_known_of_the_record(tmp_path):
     text = HEAD + 'sample_rate = "200 Hz"\nstandstill = { column = "rest" }\nsimulated = true\npolicy.values = "keep"\n'
     text += 'name = "SN-a"\ntable_angle.inner = { column = "angle", unit = "deg" }\n'
     text += 'rate.z = { column = "a", index = 2, unit = "rad/s" }\n'
-    log = import_log(tmp_path / "a.npz", parse_column_map(text))
+    log = import_log(tmp_path / "a.npz", text)
     assert (log.units, log.axes, log.simulated) == (("SN-a",), ("z",), True)
     np.testing.assert_array_equal(log.rate_rad_per_s[0, :, 0], RATES[:, 2])
     np.testing.assert_allclose(log.table_angle_rad[:, 0], np.radians(angle))
@@ -230,10 +225,11 @@ def test_a_table_and_what_is_known_of_the_record(tmp_path):
 def test_of_sensors_that_are_not_there_the_values_are_shown(tmp_path):
     (tmp_path / "a.csv").write_text("id,gx\n" + "1,0.1\n2,0.2\n" * 300, encoding="utf-8")
     np.savez(tmp_path / "a.npz", id=np.tile([1, 2], 300), gx=np.tile([0.1, 0.2], 300))
+    where = 'where = {{ column = "id", equals = {} }}\n'
     for name in ("a.csv", "a.npz"):
         with pytest.raises(LogError, match=r"where: no row has 3 .*include 1, 2"):
-            import_log(tmp_path / name, parse_column_map(ID + 'where = { column = "id", equals = 3 }\n'))
-        log = import_log(tmp_path / name, parse_column_map(ID + 'where = { column = "id", equals = 2 }\n'))
+            import_log(tmp_path / name, ID + where.format(3))
+        log = import_log(tmp_path / name, ID + where.format(2))
         assert np.degrees(log.rate_rad_per_s).ravel() == pytest.approx(np.full(300, 0.2))
 
 
@@ -249,7 +245,7 @@ def test_arbitrary_bytes_give_a_log_or_a_sentence(tmp_path_factory, ending, star
     path = tmp_path_factory.mktemp("bytes") / f"a{ending}"
     path.write_bytes(start + content)
     try:
-        log = import_log(path, plain())
+        log = import_log(path, PLAIN)
     except LogError as error:
         if not str(error):
             raise
@@ -269,7 +265,7 @@ def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("rows") / "a.csv"
     path.write_text("t,gx\n" + "\n".join(lines) + "\n", encoding="utf-8")
     try:
-        log = import_log(path, plain("[policy]\nvalues = 'keep'\n"))
+        log = import_log(path, PLAIN + "[policy]\nvalues = 'keep'\n")
     except LogError:
         return
     expected = sum(1 for line in lines if line.split("#")[0].strip())

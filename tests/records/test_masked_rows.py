@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.records.examination import Columns, examine
-from gradcal_jax.records.importers import import_log, parse_column_map
-from gradcal_jax.records.log import LogError, Reason
+from gradcal_jax.records.importers import import_log
+from gradcal_jax.records.log import Log, LogError, Reason
 from gradcal_jax.records.signal_checks import without_faults
 
 ROWS, HZ = 6000, 10.0
@@ -23,10 +23,10 @@ def rates(rows: int = ROWS, hz: float = HZ, seed: int = 0) -> np.ndarray:
     return NOISE * np.sqrt(hz) * np.random.default_rng(seed).standard_normal(rows)
 
 
-def walk(values: np.ndarray, hz: float) -> float:
-    """deg/sqrt(s) of white noise, by its means over a second."""
-    means = values[: len(values) // round(hz) * round(hz)].reshape(-1, round(hz)).mean(axis=1)
-    return float(np.sqrt(0.5 * np.mean(np.diff(means) ** 2)))
+def require_walk(log: Log, rel: float) -> None:
+    """White noise of `NOISE`, by the differences of the rates."""
+    rate = np.degrees(log.rate_rad_per_s[0, :, 0])
+    assert np.sqrt(0.5 * np.mean(np.diff(rate) ** 2) * log.sample_interval_s) == pytest.approx(NOISE, rel=rel)
 
 
 def warm_up(masked: np.ndarray, rate: float, temperature: float) -> Columns:
@@ -73,7 +73,7 @@ def test_false_readings_of_a_thermometer_leave_no_trace():
 def imported(folder: Path, time: np.ndarray, values: np.ndarray, text: str, name: str = "gx"):
     path = folder / "a.csv"
     np.savetxt(path, np.column_stack([time, values]), delimiter=",", header=f"t,{name}", comments="", fmt="%.7f")
-    return import_log(path, parse_column_map(HEAD + text))
+    return import_log(path, HEAD + text)
 
 
 GX = 'rate.x = { column = "gx", unit = "deg/s" }\n'
@@ -94,11 +94,12 @@ def test_damaged_stamps_cost_their_own_rows(tmp_path, ahead_s, kind, firsts):
     damaged = np.arange(ROWS) / 100.0
     for first in firsts:
         damaged[first : first + 20] += ahead_s
+    read = lambda: imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)  # noqa: E731
     if kind is None:
         with pytest.raises(LogError, match="far from those about them"):
-            imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
+            read()
         return
-    log = imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
+    log = read()
     assert log.rows_removed == {f"{kind} stamp": 20 * len(firsts)}
     (finding,) = (one for one in log.findings if one.kind == f"{kind} stamp")
     assert f"first row {firsts[0]}" in finding.message
@@ -159,8 +160,7 @@ def right_or_asked(read, *, rel: float) -> None:
         asked = str(error)
     assert "sample_rate" in asked
     if log is not None:
-        own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
-        assert own == pytest.approx(NOISE, rel=rel)
+        require_walk(log, rel)
 
 
 def kept_rows(pattern: str, rows: int, share: float, burst: int, rng: np.random.Generator) -> np.ndarray:
@@ -231,7 +231,6 @@ def test_damaged_stamps_are_masked_or_asked_about(kind, seed, runs, lasting, by_
         log = examine(Columns("a", {"gyro x": np.radians(values), "time": stamps}))
     except LogError:
         return
-    own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
-    assert own == pytest.approx(NOISE, rel=0.05)
+    require_walk(log, 0.05)
     assert log.duration_s < 1.1 * len(values) / 100.0
     assert log.findings or np.array_equal(stamps, np.arange(len(values)) / 100.0)

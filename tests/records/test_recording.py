@@ -5,8 +5,6 @@ busy computer fetches in pieces and late, samples that are lost, units that begi
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,14 +23,8 @@ START_S = 1000.0
 RATE_DPS, ACCELERATION_DPS2 = 200.0, 300.0
 TURN_S = 360.0 / RATE_DPS + RATE_DPS / ACCELERATION_DPS2
 READ_BYTES = 4095  # that a Linux terminal hands over at once
-
-
-@dataclass(frozen=True)
-class Turn:
-    """One turn of the table, told at `start_s`."""
-
-    start_s: float
-    to_deg: float
+Turn = tuple[float, float]
+"""When the table begins to turn, s, and where to, deg."""
 
 
 def lose_101(burst: int, data: bytes) -> bytes:
@@ -41,60 +33,45 @@ def lose_101(burst: int, data: bytes) -> bytes:
     return data[whole.get(burst, 0) :]
 
 
-def recorded(
-    turns: Sequence[Turn],
-    end_s: float,
-    *,
-    happened: Sequence[Event] = (),
-    **sends: Any,
-) -> Log:
-    """The log of a run of one step: the table turns, a unit sends every `burst_s`, the host has the first piece of a
-    burst `late_s(number)` after it was sent and each other `piece_s` later, and loses what `lost` leaves out. What else
-    `happened` stands in the journal, too."""
-    told = Session(START_S, simulated=True)
-    records = session(told, turns, end_s, **sends)
-    records = sorted([*records, *happened], key=lambda record: record.time_s)
-    log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
+def recorded(records: Sequence[Event | Chunk]) -> Log:
+    """The log of a run of one step, of what its journal holds."""
+    log = log_of(JournalContents(list(records)), short_recipe(), parse_rig(TEMPLATE))
     if log.standstill is not None:
         numbers = np.unique(log.standstill[log.standstill >= 0])
         assert numbers.tolist() == list(range(len(numbers)))
     return log
 
 
-@dataclass(frozen=True)
-class Session:
-    """When a part of a run begins, by the run's clock and by the one on the wall; how fast the unit's clock runs."""
-
-    start_s: float
-    wall_clock_s: float = 0.0
-    number: int = 0
-    simulated: bool = False
-    clock_error: float = 0.0
-
-
 def session(
-    told: Session,
     turns: Sequence[Turn],
     end_s: float,
     *,
+    start_s: float = START_S,
+    wall_clock_s: float = 0.0,
+    number: int = 0,
+    simulated: bool = True,
+    clock_error: float = 0.0,
     burst_s: float = 0.5,
     late_s: Callable[[int], float] = lambda number: 0.002,
     piece_s: float = 0.02,
     lost: Callable[[int, bytes], bytes] = lambda burst, data: data,
     reboots_s: Sequence[float] = (),
+    happened: Sequence[Event] = (),
 ) -> list[Event | Chunk]:
-    """What the journal holds of it."""
-    start_s = told.start_s
+    """What the journal holds of a part of a run that begins at `start_s` by the run's clock and at `wall_clock_s` by
+    the one on the wall: the table turns, a unit whose clock errs sends every `burst_s`, the host has the first piece of
+    a burst `late_s(number)` after it was sent and each other `piece_s` later, and loses what `lost` leaves out."""
     clock = VirtualClock(start_s)
     plant = AxisPlant(None, start_s)
-    truth = perfect(clock_error=told.clock_error)
-    sensor = sensor_on_table(clock, truth, axis=plant, sample_rate_hz=125.0)
+    sensor = sensor_on_table(clock, perfect(clock_error=clock_error), axis=plant, sample_rate_hz=125.0)
     unit = SimulatedFrames(sensor, clock)
-    begun = {"number": told.number, "simulated": told.simulated, "wall_clock_s": told.wall_clock_s}
+    begun = {"number": number, "simulated": simulated, "wall_clock_s": wall_clock_s}
     records: list[Event | Chunk] = [
+        *happened,
         Event(start_s, "session", begun),
         Event(start_s, "configuration", {"device": "unit1", "registers": {}}),
         Event(start_s + 4.0, "step begins", {"step": "turns", "number": 0, "begins_s": start_s + 4.0, "data": True}),
+        Event(start_s + end_s, "ending", {"exit_status": "success"}),
     ]
 
     def angle(at_s: float, position_deg: float) -> None:
@@ -103,42 +80,29 @@ def session(
 
     angle(start_s + 4.0, 0.0)
     waiting, rebooting, at_deg, in_hand_s = list(turns), list(reboots_s), 0.0, 0.0
-    for number in range(round(end_s / burst_s)):
-        now = start_s + (number + 1) * burst_s
-        while waiting and start_s + waiting[0].start_s < now:
-            turn = waiting.pop(0)
-            began = start_s + turn.start_s
+    for burst in range(round(end_s / burst_s)):
+        now = start_s + (burst + 1) * burst_s
+        while waiting and start_s + waiting[0][0] < now:
+            after_s, to_deg = waiting.pop(0)
+            began = start_s + after_s
             records.append(Event(began, "move", {"axis": "table", "began_s": began, "kind": "turn"}))
-            plant.move_to(began, turn.to_deg, RATE_DPS, ACCELERATION_DPS2)
-            angle(began + abs(turn.to_deg - at_deg) / 360.0 * TURN_S + 0.01, turn.to_deg)
-            at_deg = turn.to_deg
+            plant.move_to(began, to_deg, RATE_DPS, ACCELERATION_DPS2)
+            angle(began + abs(to_deg - at_deg) / 360.0 * TURN_S + 0.01, to_deg)
+            at_deg = to_deg
         clock.sleep_until(now)
         if rebooting and start_s + rebooting[0] < now:
             rebooting.pop(0)
             sensor.take(sensor.due(now))
             unit.reboot()
-        data = lost(number, b"".join(unit.emit(now)))
+        data = lost(burst, b"".join(unit.emit(now)))
         for place in range(0, len(data), READ_BYTES):
-            in_hand_s = max(now + late_s(number) + place // READ_BYTES * piece_s, in_hand_s + 1e-6)
+            in_hand_s = max(now + late_s(burst) + place // READ_BYTES * piece_s, in_hand_s + 1e-6)
             records.append(Chunk(in_hand_s, "unit1", True, data[place : place + READ_BYTES]))
-    records.append(Event(start_s + end_s, "ending", {"exit_status": "success"}))
     return sorted(records, key=lambda record: record.time_s)
 
 
 BUSY = {"burst_s": 2.0, "late_s": lambda number: 0.01 + 0.005 * (number % 3)}
-THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
-
-
-def turned_deg(log: Log, pick: Callable[[np.ndarray], int]) -> tuple[list[float], list[float]]:
-    """By the table and by the sensor, from a row of each standstill to one of the next."""
-    numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
-    rows = [pick(np.flatnonzero(log.standstill == n)) for n in numbers]
-    interval_s = float(np.median(np.diff(log.time_s)))
-    table = np.degrees(np.diff(angles_of_rests(log)[numbers]))
-    about = log.rate_rad_per_s[0, :, 2]
-    spans = itertools.pairwise(rows)
-    sensor = [float(np.degrees(about[start + 1 : end + 1].sum()) * interval_s) for start, end in spans]
-    return table.tolist(), sensor
+THERE_AND_BACK = ((14.0, 360.0), (14.0 + TURN_S + 10.0, 0.0))
 
 
 def require_rest_in_standstills(log: Log) -> None:
@@ -148,13 +112,23 @@ def require_rest_in_standstills(log: Log) -> None:
     assert np.degrees(np.abs(log.rate_rad_per_s[0, resting, 2])).max() < 0.02
 
 
-@pytest.mark.parametrize("pick", [lambda rows: rows[0], lambda rows: rows[len(rows) // 2], lambda rows: rows[-1]])
-def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick):
-    log = recorded(THERE_AND_BACK, 40.0, **BUSY)
+def require_turns(log: Log, turned_deg: list[float], share: float = 0.5) -> None:
+    """By the table and by the sensor, from a row of each standstill to one of the next: at a share of its rows."""
     require_rest_in_standstills(log)
-    table, sensor = turned_deg(log, pick)
-    assert table == pytest.approx([360.0, -360.0])
-    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
+    numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
+    standing = [np.flatnonzero(log.standstill == n) for n in numbers]
+    rows = [own[min(int(share * len(own)), len(own) - 1)] for own in standing]
+    interval_s = float(np.median(np.diff(log.time_s)))
+    about = np.degrees(log.rate_rad_per_s[0, :, 2])
+    sensor = [about[start + 1 : end + 1].sum() * interval_s for start, end in itertools.pairwise(rows)]
+    assert np.degrees(np.diff(angles_of_rests(log)[numbers])).tolist() == pytest.approx(turned_deg, abs=1e-9)
+    assert sensor == pytest.approx(turned_deg, abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(share):
+    log = recorded(session(THERE_AND_BACK, 40.0, **BUSY))
+    require_turns(log, [360.0, -360.0], share)
     assert abs(float(log.provenance["clock_rate_error"])) < 2e-3
     assert log.findings == ()
 
@@ -162,24 +136,20 @@ def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick):
 @pytest.mark.parametrize("rest_s", [0.1, 0.3, 0.6, 1.0, 2.0])
 def test_a_rest_that_a_busy_computer_slept_through_holds_no_row_of_a_turn(rest_s):
     # As it was caught in the proof of kills: of ten seconds three tenths were left, and rows of the turns stood in it.
-    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + rest_s, 0.0))
-    log = recorded(turns, 40.0, **BUSY)
-    require_rest_in_standstills(log)
-    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
-    assert table == pytest.approx([360.0, -360.0] if rest_s > 0.2 else [0.0], abs=1e-9)
-    assert sensor == pytest.approx(table, abs=0.1)
+    turns = ((14.0, 360.0), (14.0 + TURN_S + rest_s, 0.0))
+    require_turns(recorded(session(turns, 40.0, **BUSY)), [360.0, -360.0] if rest_s > 0.2 else [0.0])
 
 
 def test_stamps_that_are_unsure_shorten_every_standstill_and_it_is_said():
     # Up and down by half a second, for seconds at a time: no line fits.
-    log = recorded(THERE_AND_BACK, 40.0, burst_s=0.4, late_s=lambda number: 0.25 * (1.0 + math.sin(number / 8.0)))
+    log = recorded(session(THERE_AND_BACK, 40.0, burst_s=0.4, late_s=lambda n: 0.25 * (1.0 + math.sin(n / 8.0))))
     require_rest_in_standstills(log)
     assert [finding.kind for finding in log.findings if finding.kind == "late stamps"] == ["late stamps"]
 
 
 def test_datagrams_lost_whole_are_counted_with_their_rounds():
     # 101 datagrams without a damaged byte: the counter alone shows five.
-    log = recorded(THERE_AND_BACK, 60.0, lost=lose_101)
+    log = recorded(session(THERE_AND_BACK, 60.0, lost=lose_101))
     (gap,) = log.findings
     assert (gap.kind, gap.message) == ("gap", "about 101 samples are missing at 1 places")
     assert log.stretch_starts.tolist()[1:] == [int(np.argmax(np.diff(log.time_s))) + 1]
@@ -188,18 +158,15 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds():
 
 
 def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said():
-    turns = (*THERE_AND_BACK, Turn(60.0, 360.0), Turn(75.0, 0.0))
-    log = recorded(turns, 90.0, reboots_s=(48.3,))
+    turns = (*THERE_AND_BACK, (60.0, 360.0), (75.0, 0.0))
+    log = recorded(session(turns, 90.0, reboots_s=(48.3,)))
     kinds = {finding.kind: finding for finding in log.findings}
     assert kinds["unit restarted"].count == 1
     (start,) = log.stretch_starts.tolist()[1:]
     assert 44.0 < log.time_s[start] - log.time_s[0] < 46.0
     # Both parts lie on the computer's clock.
     np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
-    require_rest_in_standstills(log)
-    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
-    assert table == pytest.approx([360.0, -360.0, 360.0, -360.0], abs=1e-9)
-    assert sensor == pytest.approx([360.0, -360.0, 360.0, -360.0], abs=0.1)
+    require_turns(log, [360.0, -360.0, 360.0, -360.0])
 
 
 # ------------------------------------------------------------------------------------------ pauses, axes and sessions
@@ -218,7 +185,7 @@ def repeated(start_s: float, end_s: float) -> list[Event]:
 
 def test_a_repeated_step_ends_stretch_and_standstill_and_what_stood_stands_behind_it():
     # Nothing is read again behind it: of a table that is turned by hand the angle was typed before.
-    log = recorded(THERE_AND_BACK, 70.0, happened=repeated(45.0, 55.0))
+    log = recorded(session(THERE_AND_BACK, 70.0, happened=repeated(45.0, 55.0)))
     (start,) = log.stretch_starts.tolist()[1:]
     edges = log.host_time_s[[start - 1, start]] - START_S
     np.testing.assert_allclose(edges, [45.0, 55.0], atol=0.01)
@@ -249,11 +216,12 @@ DAY_S = 86400.0
     ],
 )
 def test_how_much_later_a_run_went_on(began_s, again_s, later_s, simulated, apart_s):
-    first = Session(began_s, 1.7e9, simulated=simulated)
-    second = Session(again_s, 1.7e9 + later_s, 1, simulated=simulated)
-    third = Session(again_s + 600.0, 1.7e9 + later_s + 600.0, 2, simulated=simulated)
-    records = [record for told in (first, second, third) for record in session(told, (), 30.0)]
-    log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
+    starts = ((began_s, 0.0), (again_s, later_s), (again_s + 600.0, later_s + 600.0))
+    log = recorded(
+        record
+        for number, (start_s, later) in enumerate(starts)
+        for record in session((), 30.0, start_s=start_s, wall_clock_s=1.7e9 + later, number=number, simulated=simulated)
+    )
     begins = log.host_time_s[log.stretch_starts] - log.host_time_s[0]
     np.testing.assert_allclose(begins, [0.0, apart_s, apart_s + 600.0], atol=0.01)
     np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
@@ -262,15 +230,11 @@ def test_how_much_later_a_run_went_on(began_s, again_s, later_s, simulated, apar
 
 def test_a_unit_of_a_fast_clock_that_begins_anew_goes_on_where_the_computer_says():
     # Its clock is ahead by more than it needs to begin anew.
-    told = Session(START_S, clock_error=5e-3)
-    seam = Event(START_S + 1.0, "seam", {"step": "turns", "why": "the run was resumed; the step begins again"})
-    records = [
-        *session(told, (), 500.0, reboots_s=(480.3,)),
-        Event(START_S + 600.0, "session", {"number": 1, "simulated": False, "wall_clock_s": 600.0}),
-        Event(START_S + 601.0, seam.name, seam.data),
-    ]
-    records.insert(1, seam)
-    log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
+    why = {"step": "turns", "why": "the run was resumed; the step begins again"}
+    first, *rest = session((), 500.0, simulated=False, clock_error=5e-3, reboots_s=(480.3,))
+    again = Event(START_S + 600.0, "session", {"number": 1, "simulated": False, "wall_clock_s": 600.0})
+    seams = [Event(START_S + after_s, "seam", why) for after_s in (1.0, 601.0)]
+    log = recorded([first, seams[0], *rest, again, seams[1]])
     (start,) = log.stretch_starts.tolist()[1:]
     by_host = float(log.host_time_s[start] - log.host_time_s[start - 1])
     assert 0.0 < by_host < 2.0

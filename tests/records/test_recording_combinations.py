@@ -13,6 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_recording_zoo import looked_at
 
+from gradcal_jax.records.importers import import_log
+
 ROWS = 6000
 # A mask of a tenth of rows, at most, leaves the fit; values that are worse than these are asked about.
 STAMPS = {
@@ -102,7 +104,7 @@ def off(case: Case, folder: Path) -> tuple[float, list[str]]:
     """How many standard errors the figure is off, 0 where it was refused, and what was said of it."""
     path, columns, truth = written(case, folder)
     try:
-        walk, error, said = looked_at(path, columns)
+        walk, error, said = looked_at(import_log(path, columns))
     except ValueError as question:
         return 0.0, [str(question)]
     return abs(walk - truth) / max(error, 1e-4 * truth), said

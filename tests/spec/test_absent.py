@@ -1,7 +1,5 @@
 """What a spec leaves out is listed with what is typical of its class, and no term twice, none that is named."""
 
-import tomllib
-
 import numpy as np
 import pytest
 
@@ -12,11 +10,16 @@ from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.typical import EARTH, sensor_grade, table_grade, terms_of
 
-BARE = gj.presets.text("consumer-mems")
+
+def preset(name):
+    return gj.parse_spec(gj.presets.text(name))
+
+
+BARE = preset("consumer-mems")
 
 
 def spec_without(*keys):
-    return gj.changed(gj.parse_spec(BARE), dict.fromkeys(keys))
+    return gj.changed(BARE, dict.fromkeys(keys))
 
 
 def keys(spec):
@@ -24,7 +27,7 @@ def keys(spec):
 
 
 def test_every_term_that_is_taken_out_is_listed_and_every_one_that_is_named_is_not():
-    whole = keys(gj.parse_spec(BARE))
+    whole = keys(BARE)
     for key in (
         "sensor.sample_clock_error", "sensor.thermal_lag", "sensor.gyro.drift",
         "rig.table.axis[0].angle.standstill_offset",
@@ -34,7 +37,7 @@ def test_every_term_that_is_taken_out_is_listed_and_every_one_that_is_named_is_n
 
 
 def test_zero_and_an_empty_list_are_named_terms():
-    spec = gj.changed(gj.parse_spec(BARE), {"sensor.sample_clock_error": "0 ppm", "sensor.gyro.drift": []})
+    spec = gj.changed(BARE, {"sensor.sample_clock_error": "0 ppm", "sensor.gyro.drift": []})
     assert not {"sensor.sample_clock_error", "sensor.gyro.drift"} & set(keys(spec))
 
 
@@ -47,7 +50,7 @@ def within(named, full):
 
 def paper_without_zeros(name):
     """A preset of the paper as if it did not say that what it leaves out is zero."""
-    tables = tables_of(gj.parse_spec(gj.presets.text(name)))
+    tables = tables_of(preset(name))
     sensor, rig = tables["sensor"], tables["rig"]
     for key in [
         t.key for kind in ("sensor", "table") for t in terms_of(kind, "tactical" if kind == "sensor" else "fine")
@@ -76,41 +79,38 @@ def test_terms_that_the_plan_cannot_feel_are_not_listed():
     assert set(error.value) == {"standard_deviation", "correlation_time", "scale_factor_slope"}
 
 
-@pytest.mark.parametrize("preset", [name for name in gj.presets.names() if name.startswith("paper")])
-def test_the_paper_s_presets_have_exactly_the_paper_s_terms(preset):
-    assert keys(gj.parse_spec(gj.presets.text(preset))) == []
+@pytest.mark.parametrize("name", [n for n in gj.presets.names() if n.startswith("paper")])
+def test_the_paper_s_presets_have_exactly_the_paper_s_terms(name):
+    assert keys(preset(name)) == []
 
 
 @pytest.mark.parametrize(
-    "preset", [n for n in gj.presets.names() if n.startswith(("rig", "tactical", "consumer", "two", "one"))]
+    "name", [n for n in gj.presets.names() if n.startswith(("rig", "tactical", "consumer", "two", "one"))]
 )
-def test_presets_of_a_class_are_counted_not_zeroed(preset):
-    left_out = keys(spec_of(tomllib.loads(gj.presets.text(preset))))
+def test_presets_of_a_class_are_counted_not_zeroed(name):
+    left_out = keys(preset(name))
     assert any(key.endswith(("mounting[0].accuracy", "scale_error")) for key in left_out)
     assert "sensor.temperature_offset" in left_out
 
 
-@pytest.mark.parametrize("preset", gj.presets.names())
-def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_changes(preset):
-    spec = gj.parse_spec(gj.presets.text(preset))
-    full = with_typical(spec)
+@pytest.mark.parametrize("name", gj.presets.names())
+def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_changes(name):
+    full = with_typical(preset(name))
     assert absent_terms(full) == []
-    named = tables_of(spec)["sensor"]
-    assert within(named, tables_of(full)["sensor"])
+    assert within(tables_of(preset(name))["sensor"], tables_of(full)["sensor"])
 
 
 def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
-    spec = gj.parse_spec(BARE)
-    assert sensor_grade(spec.sensor)[::2] == ("consumer", "its drift")
+    assert sensor_grade(BARE.sensor)[::2] == ("consumer", "its drift")
     assert sensor_grade(spec_without("sensor.gyro.drift").sensor)[::2] == ("consumer", "its angle random walk")
-    fine = gj.changed(spec, {"sensor.gyro.drift": None, "sensor.gyro.angle_random_walk": "0.001 deg/sqrt(h)"})
+    fine = gj.changed(BARE, {"sensor.gyro.drift": None, "sensor.gyro.angle_random_walk": "0.001 deg/sqrt(h)"})
     assert sensor_grade(fine.sensor).name == "navigation"
     assert sensor_grade(gj.changed(fine, {"sensor.grade": "tactical"}).sensor)[::2] == ("tactical", "sensor.grade")
     arcsec = {
         "rig.table.axis[0].angle.reading_noise": "1 arcsec",
         "rig.table.axis[0].angle.standstill_offset": "20 arcsec",
     }
-    assert (table_grade(spec).name, table_grade(gj.changed(spec, arcsec)).name) == ("coarse", "middle")
+    assert (table_grade(BARE).name, table_grade(gj.changed(BARE, arcsec)).name) == ("coarse", "middle")
 
 
 def test_no_verdict_rests_on_what_a_spec_leaves_out():

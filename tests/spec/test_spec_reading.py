@@ -6,26 +6,18 @@ import tomllib
 import pytest
 
 from gradcal_jax.spec import presets
-from gradcal_jax.spec import spec as spec_file
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.schedule import row_count
+from gradcal_jax.spec.spec import parse_spec, read_spec
 from gradcal_jax.tables.problems import SpecError
 
 DEG = math.pi / 180.0
-PAPER = presets.text("paper-dynamic-gradient")
+TEXT = presets.text("paper-dynamic-gradient")
+PAPER = parse_spec(TEXT)
 
 
-def keys_of(document):
-    with pytest.raises(SpecError) as caught:
-        spec_file.spec_of(document)
-    return {problem.dotted for problem in caught.value.problems}
-
-
-def tables(name="paper-dynamic-gradient"):
-    return tomllib.loads(presets.text(name))
-
-
-def cycles(spec):
-    return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
+def preset(name):
+    return parse_spec(presets.text(name))
 
 
 def readings(spec):
@@ -33,8 +25,7 @@ def readings(spec):
 
 
 def test_the_papers_dynamic_gradient_plan_is_seventeen_cycles_of_six_minutes():
-    spec = spec_file.parse_spec(PAPER)
-    schedule = spec.schedule
+    schedule = PAPER.schedule
     soak, ramp = schedule.segments
     assert (soak.duration, soak.used, ramp.duration, ramp.used) == (3600.0, False, 6000.0, True)
     assert (ramp.temperature_start, ramp.temperature_end, ramp.slope) == (-30.0, 70.0, pytest.approx(1 / 60))
@@ -44,87 +35,82 @@ def test_the_papers_dynamic_gradient_plan_is_seventeen_cycles_of_six_minutes():
     assert (stretch.start, stretch.cycles) == (3600.0, 17)
     assert stretch.leftover == pytest.approx(120.0, abs=1e-6)
     # 26 readings of its own a cycle, 240 while the others turn, 120 in what is left after the last moves
-    assert readings(spec) == 17 * 26 + 16 * 240 + 120
+    assert readings(PAPER) == 17 * 26 + 16 * 240 + 120
     assert [round(step.move.peak_rate / DEG) for step in schedule.steps] == [0, 10, 150, 300, 0, -10, -150, -300]
 
 
 def test_the_papers_other_plans_take_the_papers_hours():
     hours = {"paper-static-standard": 9.0, "paper-dynamic-standard": 9.0, "paper-static-gradient": 8 / 3}
     for name, expected in hours.items():
-        assert spec_file.parse_spec(presets.text(name)).schedule.duration / 3600 == pytest.approx(expected)
-    static = spec_file.parse_spec(presets.text("paper-static-gradient"))
+        assert preset(name).schedule.duration / 3600 == pytest.approx(expected)
+    static = preset("paper-static-gradient")
     assert (static.plan.cycle, readings(static), static.gradient_schedule.soak) == (None, 6000, 3600.0)
-    dynamic = spec_file.parse_spec(presets.text("paper-dynamic-standard")).schedule
+    dynamic = preset("paper-dynamic-standard").schedule
     assert dynamic.readings == 36
     with pytest.raises(ValueError, match="gradient"):
-        _ = spec_file.parse_spec(presets.text("paper-dynamic-standard")).gradient_schedule
+        _ = preset("paper-dynamic-standard").gradient_schedule
 
 
 def test_messages_carry_value_expectation_and_nearest_spelling():
     with pytest.raises(SpecError) as caught:
-        spec_file.parse_spec(PAPER.replace("max_rate  ", "max_rte  "), "mine.toml")
+        parse_spec(TEXT.replace("max_rate  ", "max_rte  "), "mine.toml")
     said = 'mine.toml: rig.table.axis[0].max_rte = "300 deg/s": this key is unknown; nearest: "max_rate"'
     assert str(caught.value) == said
 
 
-@pytest.mark.parametrize("cooling", [False, True])
-def test_ramps_go_both_ways_and_answer_to_their_own_limit(cooling):
-    document = tables()
-    if cooling:
-        document["plan"]["temperature"].reverse()
-    document["plan"]["gradient"] = "1.8 K/min"
-    if cooling:
-        assert keys_of(document) == {"plan.gradient"}
-        document["plan"]["gradient"] = "1.5 K/min"
-    schedule = spec_file.spec_of(document).schedule
-    assert math.copysign(1.0, schedule.segments[1].slope) == (-1.0 if cooling else 1.0)
+@pytest.mark.parametrize(
+    ("ends", "slope", "sign"),
+    [(["-30 degC", "70 degC"], "1.8 K/min", 1.0), (["70 degC", "-30 degC"], "1.5 K/min", -1.0)],
+)
+def test_ramps_go_both_ways_and_answer_to_their_own_limit(ends, slope, sign):
+    schedule = changed(PAPER, {"plan.temperature": ends, "plan.gradient": slope}).schedule
+    assert math.copysign(1.0, schedule.segments[1].slope) == sign
+    if sign < 0.0:
+        with pytest.raises(SpecError) as caught:
+            changed(PAPER, {"plan.temperature": ends, "plan.gradient": "1.8 K/min"})
+        assert [problem.dotted for problem in caught.value.problems] == ["plan.gradient"]
 
 
-def programme():
-    document = tables("paper-static-gradient")
-    for key in ("temperature", "gradient", "soak"):
-        del document["plan"][key]
-    document["plan"]["programme"] = [
-        {"soak": "1 h", "at": "-30 degC"},
-        {"ramp_to": "70 degC", "rate": "1 K/min"},
-        {"soak": "10 min", "used": True},
-        {"step_to": "20 degC"},
-        {"soak": "10 min", "at": "20 degC", "used": True},
-    ]
-    return document
+PROGRAMME = """
+programme = [
+  { soak = "1 h", at = "-30 degC" },
+  { ramp_to = "70 degC", rate = "1 K/min" },
+  { soak = "10 min", used = true },
+  { step_to = "20 degC" },
+  { soak = "10 min", at = "20 degC", used = true },
+]
+"""
 
 
 def test_a_programme_is_walked_segment_by_segment():
-    schedule = spec_file.spec_of(programme()).gradient_schedule
+    changes = dict.fromkeys(("plan.temperature", "plan.gradient", "plan.soak"))
+    changes |= {f"plan.{key}": value for key, value in tomllib.loads(PROGRAMME).items()}
+    spec = changed(preset("paper-static-gradient"), changes)
+    schedule = spec.gradient_schedule
     assert [segment.kind for segment in schedule.segments] == ["soak", "ramp", "soak", "step", "soak"]
     step = schedule.segments[3]
     assert step.duration == pytest.approx(50 / 1.5 * 60)  # as fast as the chamber cools
     assert [stretch.duration for stretch in schedule.stretches] == [pytest.approx(6600.0), pytest.approx(600.0)]
-    assert readings(spec_file.spec_of(programme())) == 7200
+    assert readings(spec) == 7200
     assert schedule.duration == pytest.approx(3600 + 6000 + 600 + 2000 + 600)
 
 
 def test_limits_that_are_just_met_are_accepted():
-    document = tables()
-    document["rig"]["table"]["axis"][0]["travel"] = "1080 deg"
-    document["sensor"]["gyro"]["full_scale"] = "316 deg/s"
-    spec_file.spec_of(document)
+    changed(PAPER, {"rig.table.axis[0].travel": "1080 deg", "sensor.gyro.full_scale": "316 deg/s"})
 
 
 def test_other_axes_are_read_as_they_say():
-    document = tables()
-    document["plan"]["cycle"]["other_axes"]["read_every"] = "2 s"
-    assert spec_file.spec_of(document).schedule.after[0].move.read_every == 2.0
-    document["plan"]["cycle"]["other_axes"] = {"duration": "4 min"}
+    own = changed(PAPER, {"plan.cycle.other_axes.read_every": "2 s"})
+    assert own.schedule.after[0].move.read_every == 2.0
     # Two minutes of the ramp that no cycle fills are read as the table is.
-    assert readings(spec_file.spec_of(document)) == 17 * 26 + 120
+    assert readings(changed(PAPER, {"plan.cycle.other_axes": {"duration": "4 min"}})) == 17 * 26 + 120
 
 
 def test_missing_files_name_a_neighbour(tmp_path):
-    (tmp_path / "tactical.toml").write_text(PAPER)
+    (tmp_path / "tactical.toml").write_text(TEXT)
     with pytest.raises(SpecError, match=r'nearest: "tactical\.toml"'):
-        spec_file.read_spec(tmp_path / "tacticl.toml")
+        read_spec(tmp_path / "tacticl.toml")
     with pytest.raises(SpecError, match="directory"):
-        spec_file.read_spec(tmp_path)
+        read_spec(tmp_path)
     with pytest.raises(SpecError, match="not a possible path"):
-        spec_file.read_spec("a\0b")
+        read_spec("a\0b")

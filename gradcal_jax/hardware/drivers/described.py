@@ -108,15 +108,18 @@ class Speaker(ABC):
         holds: Callable[[Texts], bool] = lambda texts: True,
         ramps: bool = False,
     ) -> Texts:
-        """Send a command until the device shows it, and what it shows in `fields` holds. Returns what it shows."""
+        """Send a command until the device shows it, and what it shows in `fields` holds. Returns what it shows, of the
+        command's own value first."""
         expected = self.expected(name, values, ramps=ramps)
-        return command_and_verify(
+        shown = command_and_verify(
             self.clock,
             " ".join((f"{self.title}: {name}", *expected.values())),
             lambda: self.tell(name, values),
             lambda: self.read(*expected, *fields),
             lambda texts: holds(texts) and all(shows(text, texts[field]) for field, text in expected.items()),
         )
+        # (A reply has its fields in an order of its own.)
+        return {field: shown[field] for field in expected} | shown
 
     @abstractmethod
     def step_of(self, command: str) -> float:

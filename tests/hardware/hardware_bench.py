@@ -1,11 +1,9 @@
 """A bench for the tests: simulated devices at the ends of lines, and the drivers that talk to them."""
 
 import tempfile
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from made_recipe import made_of
@@ -17,12 +15,13 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 from simulated_devices.wire import Wire, line_to
 
-from gradcal_jax.hardware.clock import Clock, VirtualClock
+from gradcal_jax.cli import main
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers import lines, registers
 from gradcal_jax.hardware.interlocks import InterlockLimits
-from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents, read_journal
+from gradcal_jax.hardware.journal import Chunk, Journal, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
-from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
+from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import (
     EARTH_RATE,
@@ -33,25 +32,25 @@ from gradcal_jax.hardware.simulate.imu import (
     TriadTruth,
     own_input,
 )
-from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.track import Track, track_of
-from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.track import track_of
 from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.rig import TEMPLATE, parse_rig
-from gradcal_jax.spec.spec import Spec, parse_spec
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig, rig_of
+from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.writing import write_toml
 
 # The simulated board takes accelerations that no stepper motor does, so that tests are short, and starts at once.
-BOARD_CHANGES: dict[str, Any] = {
+BOARD_CHANGES = {
     "limits": {"max_rate": "300 deg/s", "max_acceleration": "2000 deg/s^2"},
     "line": {"boot": "0 s"},
 }
 
 
 @contextmanager
-def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[Any, Any]]:
+def served(device, clock, baudrate, **options):
     """A device at the end of a line in memory, and the host's end of it."""
     with Wire(device, clock, **options) as port:
         transport = line_to(port.url, clock=clock, baudrate=baudrate)
@@ -62,73 +61,53 @@ def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator
             transport.close()
 
 
-def espec_config(
-    *, pause: str = "0.1 s", after: str = "1 s", reply_timeout: str = "0.3 s", **changes: Any
-) -> lines.LinesConfig:
-    line = {"pause": pause, "pause_after_command": after, **changes.pop("line", {})}
-    return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout=reply_timeout)
+def espec_config(pause="0.1 s"):
+    changes = {"line": {"pause": pause, "pause_after_command": "1 s"}}
+    return lines.LinesConfig(protocol="espec", changes=changes, reply_timeout="0.3 s")
 
 
-def lines_config(protocol: str, **more: Any) -> lines.LinesConfig:
+def lines_config(protocol, **more):
     return lines.LinesConfig(protocol=protocol, reply_timeout="0.2 s", home_timeout="2.0 s", **more)
 
 
-def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
-    """A context with the driver, its simulated device, and the port between them."""
+def _bench(simulated, plant_of, config_of):
+    """A context with the driver, its simulated device, the port between them, and their clock."""
 
     @contextmanager
-    def bench(
-        clock: Clock, options: Any = None, config: Any = None, truth: Any = None, **port_options: Any
-    ) -> Iterator[tuple[Any, Any, Wire]]:
-        more = options if isinstance(options, dict) else {} if options is None else {"options": options}
-        device = simulated(plant_of(truth, clock), clock, **more)
-        config = config or config_of()
+    def bench(config=None, **port_options):
+        clock, config = VirtualClock(), config or config_of()
+        device = simulated(plant_of(), clock)
         with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):
-            yield config.device(config.link(transport, clock), clock), device, port
+            yield config.device(config.link(transport, clock), clock), device, port, clock
 
     return bench
 
 
-def _chamber(truth: ChamberTruth | None, clock: Clock) -> ChamberPlant:
-    return ChamberPlant(truth or ChamberTruth(), clock.now())
-
-
-def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
-    return AxisPlant(truth, clock.now())
-
-
-espec_bench = _bench(SimulatedEspec, _chamber, espec_config)
+chamber_plant = partial(ChamberPlant, ChamberTruth())
 _F4T = registers.RegistersConfig(protocol="watlow-f4t", reply_timeout="0.2 s")
-f4t_bench = _bench(SimulatedWatlowF4T, _chamber, lambda: _F4T)
-cts_bench = _bench(SimulatedCts, _chamber, partial(lines_config, "cts"))
-grbl_bench = _bench(SimulatedGrbl, _axis, partial(lines_config, "grbl"))
-aerosmith_bench = _bench(SimulatedAerosmith, _axis, partial(lines_config, "aerosmith-like"))
+espec_bench = _bench(SimulatedEspec, chamber_plant, espec_config)
+f4t_bench = _bench(SimulatedWatlowF4T, chamber_plant, lambda: _F4T)
+cts_bench = _bench(SimulatedCts, chamber_plant, partial(lines_config, "cts"))
+grbl_bench = _bench(SimulatedGrbl, AxisPlant, partial(lines_config, "grbl"))
+aerosmith_bench = _bench(SimulatedAerosmith, AxisPlant, partial(lines_config, "aerosmith-like"))
 
 
 EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
 
 
-def perfect(*, scale_factor: float = 0.0, clock_error: float = 0.0) -> ImuTruth:
+def perfect(*, scale_factor=0.0, clock_error=0.0):
     """A unit without noise, whose gyros have a scale-factor error."""
     errors = (ErrorTerm(np.full((3, 1, 1), scale_factor), lambda t: np.ones((len(t), 1)), own_input),)
     triads = {"gyro": TriadTruth(errors, 0.0), "accelerometer": TriadTruth((), 0.0)}
     return ImuTruth(triads, clock_error=clock_error)
 
 
-def sensor_on_table(
-    clock: Clock,
-    truth: ImuTruth | None = None,
-    *,
-    sample_rate_hz: float = 125.0,
-    axis: AxisPlant | None = None,
-    chamber: ChamberPlant | None = None,
-    seed: int = 1,
-) -> SimulatedImu:
+def sensor_on_table(clock, truth=None, *, sample_rate_hz=125.0, axis=None, chamber=None, seed=1):
     """A unit on a vertical axis, at 45 degrees of latitude."""
     return SimulatedImu(
         truth or perfect(),
         TableTruth(((0.0, 0.0, 1.0),), np.pi / 4.0, STANDARD_GRAVITY),
-        chamber or ChamberPlant(ChamberTruth(), clock.now()),
+        chamber or chamber_plant(clock.now()),
         [axis or AxisPlant(None, clock.now())],
         sample_rate_hz=sample_rate_hz,
         seed=seed,
@@ -136,21 +115,37 @@ def sensor_on_table(
     )
 
 
+def chamber_alone(protocol, *, port="COM1", options=(), **more):
+    """A rig file of one chamber."""
+    table = {"driver": "lines", "port": port, "safe": "standby", "options": {"protocol": protocol} | dict(options)}
+    return rig_of({"format": "gradcal-rig/1", "chamber": table | more})
+
+
+def rig_with(rig, **tables):
+    """A rig file with other tables."""
+    return rig_of(rig.model_dump(mode="json", exclude_unset=True) | tables)
+
+
+def gradcal_run(folder, rig, *words):
+    """`gradcal run` of a short recipe."""
+    write_toml(short_recipe(), folder / "recipe.toml")
+    write_toml(rig, folder / "rig.toml")
+    return main(["run", str(folder / "recipe.toml"), "--rig", str(folder / "rig.toml"), *words])
+
+
 class Rig:
     """A simulated rig under the template's rig file, on lines in memory, or on pseudo-terminals for other processes.
     The unit sends its samples every `burst_s`. The board is opened without its waiting time."""
 
-    def __init__(
-        self, clock: Clock, truth: ImuTruth | None = None, *, burst_s: float = 0.128, on_terminals: bool = False
-    ) -> None:
+    def __init__(self, clock, truth=None, *, burst_s=0.128, on_terminals=False):
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)
-        self.axis = axis
+        self.axis, self.clock = axis, clock
         self.table = SimulatedGrbl(axis, clock)
         self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
         self.imu = SimulatedFrames(self.sensor, clock, burst_s=burst_s)
-        line: Any = SimulatedPort if on_terminals else Wire
+        line = SimulatedPort if on_terminals else Wire
         self.ports = [line(device, clock) for device in (self.chamber, self.table, self.imu)]
         text = TEMPLATE
         for index, port in enumerate(self.ports):
@@ -158,21 +153,25 @@ class Rig:
         self.rig = parse_rig(text)
         self.rig.axis[0].options["changes"] = BOARD_CHANGES
 
-    def __enter__(self) -> "Rig":
+    def rate_dps(self):
+        return self.axis.state(self.clock.now())[1]
+
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         for port in self.ports:
             port.__exit__()
 
 
-def chunks_of(contents: JournalContents, line: str, *, received: bool = True) -> Iterator[Chunk]:
-    for record in contents.records:
-        if isinstance(record, Chunk) and record.line == line and record.received == received:
-            yield record
+def chunks_of(contents, line):
+    """What was received on a line."""
+    return [
+        record for record in contents.records if isinstance(record, Chunk) and record.received and record.line == line
+    ]
 
 
-def parse_journal(data: bytes) -> JournalContents:
+def parse_journal(data):
     """What a journal of these bytes holds."""
     with tempfile.NamedTemporaryFile() as file:
         file.write(data)
@@ -180,7 +179,7 @@ def parse_journal(data: bytes) -> JournalContents:
         return read_journal(Path(file.name))
 
 
-def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict[str, Any] | None = None) -> Recipe:
+def short_recipe(ramp_k=4.0, *, changes=None):
     """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro."""
     moves = [
         {"rest": "4 s", "read_every": "1 s"},
@@ -195,46 +194,35 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
         "plan.cycle.moves": moves,
         "plan.cycle.other_axes": {"duration": "2 s", "read_every": "1 s"},
     }
-    spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))
-    return unpredicted(spec, stable_for=stable_for)
+    return unpredicted(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {})))
 
 
-def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
+def unpredicted(spec):
     """A recipe whose prediction is empty: what can be made without compiling anything."""
-    return made_of(spec, Stability(for_at_least=Quantity.read(stable_for, "time")))
+    return made_of(spec, Stability(for_at_least=Quantity.read("20 s", "time")))
 
 
 @contextmanager
-def running(
-    folder: Path,
-    track: Track,
-    truth: ImuTruth | None = None,
-    *,
-    limits: InterlockLimits | None = None,
-    with_unit: bool = True,
-    **more: Any,
-) -> Iterator[tuple[Rig, Runner]]:
+def running(folder, track, truth=None, *, limits=None, with_unit=True, **more):
     """A rig and the runner of a track on it, in virtual time; its journal lies in the folder."""
     clock = VirtualClock()
     folder.mkdir(exist_ok=True)
     with Rig(clock, truth, burst_s=0.256) as rig, Journal(folder / "journal") as journal:
         devices = rig.rig if with_unit else only_of(rig.rig, {"chamber", "table"})
         with open_rig(devices, clock) as bench:
-            yield (
-                rig,
-                Runner(track, bench, journal, clock, limits or InterlockLimits(), **{"safe_deadline_s": 10.0} | more),
-            )
+            more = {"safe_deadline_s": 10.0} | more
+            yield rig, Runner(track, bench, journal, clock, limits or InterlockLimits(), **more)
 
 
-def short_track() -> Track:
+def short_track():
     return track_of(short_recipe(2.0), ["table"])
 
 
-def events(folder: Path, name: str) -> list[Event]:
+def events(folder, name):
     return [event for event in read_journal(folder / "journal").events if event.name == name]
 
 
-def ends_aborted(runner: Runner, *words: str) -> RunResult:
+def ends_aborted(runner, *words):
     """Run to an end that is safe, verified, and says so of its reason."""
     result = runner.run()
     assert (result.exit_status, result.verified_safe) == ("aborted", True), result
@@ -243,26 +231,29 @@ def ends_aborted(runner: Runner, *words: str) -> RunResult:
     return result
 
 
-Act = tuple[Callable[[RunProgress], bool], Callable[[], Any]]
+def acting(runner, when, act, every_s=1.0):
+    """Act from within the run, the first time that its progress, shown each `every_s`, is so."""
+    acts = [act]
 
-
-def acting(runner: Runner, *acts: Act, every_s: float = 1.0) -> None:
-    """Act from within the run, each the first time that its progress, shown each `every_s`, is so."""
-    left = list(acts)
-
-    def look(progress: RunProgress) -> None:
-        for act in [act for act in left if act[0](progress)]:
-            left.remove(act)
-            act[1]()
+    def look(progress):
+        if acts and when(progress):
+            acts.pop()()
 
     runner.chamber_every_s = every_s
     runner.on_progress = look
 
 
-def in_step(number: int) -> Callable[[RunProgress], bool]:
+def struck(folder, track, when, harm, *words, ready=lambda rig: None, every_s=1.0, **more):
+    """A run that harm befalls, once its progress is so: its rig, its end, and the time of the harm (s). With words:
+    it ends aborted and safe, and says so."""
+    with running(folder, track, **more) as (rig, runner):
+        struck_s = []
+        ready(rig)
+        acting(runner, partial(when, rig=rig), lambda: (struck_s.append(rig.clock.now()), harm(rig)), every_s)
+        result = ends_aborted(runner, *words) if words else runner.run()
+    return rig, result, struck_s[0]
+
+
+def in_step(number):
     """Once the step of this number has begun."""
-    return lambda progress: progress.steps_done == number and progress.step_left_s is not None
-
-
-def at(runner: Runner, time_s: float) -> Callable[[RunProgress], bool]:
-    return lambda progress: runner.clock.now() >= time_s
+    return lambda progress, rig=None: progress.steps_done == number and progress.step_left_s is not None

@@ -33,14 +33,14 @@ Shown by tests, without figures:
 """
 
 
-def machine() -> str:
+def machine():
     """The computer in general words."""
     return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def record(proof: str, figure: str, test: str) -> None:
+def record(proof, figure, test):
     """Write or replace the row of one proof."""
-    rows: dict[str, str] = {}
+    rows = {}
     if REPORT.exists():
         for line in REPORT.read_text(encoding="utf-8").splitlines():
             cells = [cell.strip() for cell in line.strip("|").split("|")]

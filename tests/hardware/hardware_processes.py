@@ -10,10 +10,8 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from simulated_devices.port import FastClock
 from simulated_devices.port_lab import SimulatedLab
@@ -22,16 +20,15 @@ from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
-from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.spec.rig import read_rig
 from gradcal_jax.tables.writing import write_toml, write_whole
 
 
-def serve(at: str, speed: str, seed: str, units: str, sample_rate_hz: str) -> None:
+def serve(at, speed, seed, units, sample_rate_hz):
     folder, clock = Path(at), FastClock(float(speed))
     spec, burst_s = read_recipe(folder / "recipe.toml").spec, 0.016 if clock.speed == 1.0 else 0.5
-    options: Any = {"seed": int(seed), "units": int(units), "sample_rate_hz": float(sample_rate_hz)}
+    options = {"seed": int(seed), "units": int(units), "sample_rate_hz": float(sample_rate_hz)}
     with SimulatedLab(spec, clock, burst_s=burst_s, room_c=20.0, **options) as lab:
         write_toml(lab.rig, folder / "rig.toml")
         write_whole(folder / "hidden_truth.json", json.dumps(lab.truths()))
@@ -42,7 +39,7 @@ def serve(at: str, speed: str, seed: str, units: str, sample_rate_hz: str) -> No
                 print(lab.chamber.mode, rate, flush=True)
 
 
-def run(at: str, to: str, times: str, *guard: str) -> int:
+def run(at, to, times, *guard):
     folder, path, speed = Path(at), Path(to), float(times)
     clock = FastClock(speed)
     if (path / "run.json").exists():
@@ -52,9 +49,9 @@ def run(at: str, to: str, times: str, *guard: str) -> int:
     write_whole(path / "pid", str(os.getpid()))
     watching._SILENT_S = float(os.environ.get("SILENT_S", watching._SILENT_S))
     limits = InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=math.inf, latest_s=1.0 * speed)
-    began_s, memory_mb = clock.now(), list[float]()
+    began_s, memory_mb = clock.now(), []
 
-    def look(progress: RunProgress) -> None:
+    def look(progress):
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) if sys.platform == "linux" else 0
         memory_mb.append(pages * os.sysconf("SC_PAGESIZE") / 1e6)
 
@@ -71,9 +68,7 @@ def run(at: str, to: str, times: str, *guard: str) -> int:
 
 
 @contextmanager
-def laboratory(
-    folder: Path, speed: float, seed: int = 0, *, units: int = 1, sample_rate_hz: float = 125.0
-) -> Iterator[subprocess.Popen[str]]:
+def laboratory(folder, speed, seed=0, *, units=1, sample_rate_hz=125.0):
     """A laboratory in a process of its own for the recipe in a folder, ready to be used; `hidden_truth.json` there says
     what it hides."""
     process = subprocess.Popen(
@@ -83,20 +78,22 @@ def laboratory(
         text=True,
     )
     try:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         yield process
     finally:
-        assert process.stdin is not None
-        assert process.stdout is not None
         process.stdin.close()
         process.wait(timeout=30.0)
         process.stdout.close()
 
 
-def start_run(
-    folder: Path, path: Path, speed: float, *, guard: bool = False, silent_s: float = 20.0
-) -> subprocess.Popen[str]:
+def require_standing(laboratory):
+    """Of a laboratory: its chamber is in standby, and its axes do not turn."""
+    laboratory.stdin.write("state\n")
+    laboratory.stdin.flush()
+    assert laboratory.stdout.readline().split() == ["STANDBY", "0.0"]
+
+
+def start_run(folder, path, speed, *, guard=False, silent_s=20.0):
     words = [sys.executable, __file__, "run", str(folder), str(path), str(speed)] + (["guard"] if guard else [])
     environment = os.environ | {"SILENT_S": str(silent_s)}
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)

@@ -1,7 +1,7 @@
 """A short plan of a whole unit on a two-axis table, and its estimate from a log, for the tests of unit runs."""
 
+import json
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from hardware_bench import unpredicted
@@ -12,16 +12,13 @@ from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_o
 from gradcal_jax.hardware import execute
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model.build import build_imu
-from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.records.log import Log
 from gradcal_jax.spec.changes import changed, tables_of
-from gradcal_jax.spec.spec import parse_spec, read_spec
-from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.writing import write_toml
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 # Two axes, a stop of an instant between two of their turns, and back to where it began.
-MOVES: list[dict[str, Any]] = [
+MOVES = [
     {"rest": "3 s"},
     {"turn": "720 deg", "axis": "spin"},
     {"rest": "3 s"},
@@ -38,26 +35,12 @@ MOVES: list[dict[str, Any]] = [
 ]
 
 
-def hand(minutes: float, **changes: Any) -> Spec:
-    """The plan by hand in a ramp of so many minutes.
-
-    Its scale factors are such that their square, which the estimate leaves out, is below what three cycles tell.
-    """
-    keys = {
-        "plan.gradient": f"{100.0 / minutes:.2f} K/min",
-        "rig.chamber.max_heating": "60 K/min",
-        "rig.chamber.max_cooling": "60 K/min",
-        "sensor.gyro.scale_factor.prior": "1000 ppm",
-    }
-    return changed(read_spec(HAND), keys | changes)
-
-
-def short(cycles: int = 1) -> Spec:
+def short(cycles=1):
     """A plan of `cycles` cycles of less than a minute, 20 to 30 degC, of a simpler unit."""
     minutes = 0.9 * cycles
     temperature = {"degree": 1, "centre": "25 degC", "scale": "5 K"}
     rate = {"degree": 1, "scale": "300 deg/s"}
-    keys: dict[str, Any] = {f"sensor.{kind}.bias.temperature": temperature for kind in ("gyro", "accelerometer")}
+    keys = {f"sensor.{kind}.bias.temperature": temperature for kind in ("gyro", "accelerometer")}
     keys |= {
         "plan.temperature": ["20 degC", "30 degC"],
         "plan.gradient": f"{10.0 / minutes:.3f} K/min",
@@ -69,19 +52,19 @@ def short(cycles: int = 1) -> Spec:
     return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
 
 
-def triad() -> Spec:
+def triad():
     """The short plan of a unit of three gyros alone."""
     spec = short()
     kept = [r for r in tables_of(spec)["requirement"] if r["quantity"].startswith("gyro_")]
     return changed(spec, {"sensor.accelerometer": None, "sensor.gyro.g_sensitivity": None, "requirement": kept})
 
 
-def made(spec: Spec) -> Recipe:
+def made(spec):
     """Its recipe, without a prediction."""
     return unpredicted(spec)
 
 
-def write(folder: Path) -> None:
+def write(folder):
     """The recipe of the short plan, and its simulated run with two units."""
     recipe = made(short())
     write_toml(recipe, folder / "recipe.toml")
@@ -89,9 +72,13 @@ def write(folder: Path) -> None:
     assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
 
 
-def estimated(
-    log: Log, spec: Spec, truth: dict[str, float], clock: Literal["sensor", "host"] | None = None
-) -> tuple[float, int, float, int]:
+def hidden_truth(folder, unit="unit1"):
+    """What the simulation hides of a unit and of how it hangs, by the names of the parameters."""
+    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+    return hidden["units"][unit] | hidden["installation"]
+
+
+def estimated(log, spec, truth, clock=None):
     """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs.
 
     As `estimate` does: where rates are integrated over the computer's time, the clock's error is a parameter, whose
@@ -101,7 +88,6 @@ def estimated(
     built = build_imu(counted)
     model = built.model
     rows, _ = imu_rows(built, [log], log.units[0], options)
-    assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
     fit = fit_readings(built, log.units[0], rows, log.temperature_c[0])
     readings, found = fit.readings, fit.solution

@@ -13,7 +13,7 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPl
 # --- clock ------------------------------------------------------------------------------------------------------------
 
 
-def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch):
     clock = RealClock()
     monkeypatch.setattr(time, "time", lambda: 0.0)
     before = clock.now()
@@ -24,7 +24,7 @@ def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.Monkey
 # --- plants -----------------------------------------------------------------------------------------------------------
 
 
-def test_load_trails_a_ramp_by_its_time_constants() -> None:
+def test_load_trails_a_ramp_by_its_time_constants():
     truth = ChamberTruth(start_c=0.0, air_time_constant_s=40.0, load_time_constant_s=240.0)
     plant = ChamberPlant(truth)
     plant.switch(0.0, True)
@@ -38,9 +38,9 @@ def test_load_trails_a_ramp_by_its_time_constants() -> None:
     assert after - before == pytest.approx(1.0, rel=0.01)
 
 
-def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it() -> None:
+def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it():
     plant = AxisPlant(AxisTruth(rate_accuracy=200e-6, seed=5))
-    errors: list[float] = []
+    errors = []
     for index in range(300):
         told = (100.0, -300.0)[index % 2]
         plant.spin(100.0 * index, told, 1e6)
@@ -51,7 +51,7 @@ def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it
     assert abs(np.mean(errors)) < 4.0 * 200e-6 / np.sqrt(300.0)
 
 
-def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
+def test_encoder_errors_are_of_the_kind_that_was_asked_for():
     plant = AxisPlant(AxisTruth(standstill_offset_deg=0.05, seed=3))
     offsets = []
     for index in range(200):
@@ -70,7 +70,7 @@ def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
     assert np.std(read) == pytest.approx(100.0 * 0.002, rel=0.15)
 
 
-def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts() -> None:
+def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts():
     """By the scale error always, and after each reversal by the backlash, too."""
     plant = AxisPlant(AxisTruth(scale_error=1e-3, backlash_deg=0.2))
     plant.move_to(0.0, 90.0, 50.0, 100.0)
@@ -94,7 +94,7 @@ def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts() -> None:
 # --- sensor -----------------------------------------------------------------------------------------------------------
 
 
-def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
+def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once():
     drifts = (Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0))
     truth = ImuTruth({"gyro": TriadTruth((), white=0.01, walk=1e-3, drifts=drifts)})
     one, many = (sensor_on_table(VirtualClock(), truth, seed=9) for _ in range(2))
@@ -103,7 +103,7 @@ def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
     np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
 
 
-def test_a_command_that_was_held_up_changes_nothing_that_the_sensor_was_told() -> None:
+def test_a_command_that_was_held_up_changes_nothing_that_the_sensor_was_told():
     plant = AxisPlant(None, 0.0)
     told = plant.position(np.linspace(0.0, 10.2, 52))
     # It was given at 10 s, and carried out when the samples had got further.

@@ -3,7 +3,6 @@
 import re
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hardware_bench import sensor_on_table
@@ -15,7 +14,7 @@ from simulated_devices.text_unit import SimulatedTextUnit
 from simulated_devices.wire import Wire
 
 from gradcal_jax.cli import main
-from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "connect.md").read_text(encoding="utf-8")
@@ -39,7 +38,7 @@ options        = { protocol = "grbl", changes = { limits = { max_rate = "200 deg
 }
 
 
-def peer(name: str, clock: Clock) -> Any:
+def peer(name, clock):
     if name == "cts":
         return SimulatedCts(ChamberPlant(ChamberTruth(), clock.now()), clock)
     if name == "modbus":
@@ -49,9 +48,7 @@ def peer(name: str, clock: Clock) -> Any:
     return SimulatedTextUnit(sensor_on_table(clock, sample_rate_hz=100.0), clock, boot_s=1.5)
 
 
-def checked(
-    text: str, name: str, folder: Path, capsys: pytest.CaptureFixture[str], device: Any = None
-) -> tuple[int, str]:
+def checked(text, name, folder, capsys, device=None):
     clock = RealClock()
     with ExitStack() as stack:
         end = device or peer(name, clock)
@@ -64,7 +61,7 @@ def checked(
 
 
 @pytest.mark.parametrize("name", ["cts", "modbus", "grbl", "board"])
-def test_what_the_how_to_writes_is_a_green_check(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_how_to_writes_is_a_green_check(name, tmp_path, capsys):
     status, said = checked(BLOCKS[name], name, tmp_path, capsys)
     assert status == 0, said
     assert "every device answers as the rig file states" in said
@@ -85,9 +82,7 @@ def test_what_the_how_to_writes_is_a_green_check(name: str, tmp_path: Path, caps
         ("board", ('boot     = "2 s"', 'boot     = "0 s"\ntimeout  = "0.5 s"'), "sent nothing in 0.5 s"),
     ],
 )  # fmt: skip
-def test_errors_that_one_makes_are_said(
-    name: str, change: tuple[str, str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_that_one_makes_are_said(name, change, words, tmp_path, capsys):
     assert change[0] in BLOCKS[name]
     status, said = checked(BLOCKS[name].replace(*change), name, tmp_path, capsys)
     assert words in said

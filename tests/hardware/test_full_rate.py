@@ -5,7 +5,6 @@ Laboratory and run are processes of their own, so that processor time and memory
 
 import json
 import math
-from pathlib import Path
 
 import pytest
 from hardware_bench import short_recipe
@@ -19,7 +18,7 @@ RATE_HZ = 2000.0
 
 
 @pytest.mark.evidence
-def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path: Path) -> None:
+def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path):
     run = tmp_path / "run"
     write_toml(short_recipe(ramp_k=16.0, changes={"plan.gradient": "1.6 K/min"}), tmp_path / "recipe.toml")
     with laboratory(tmp_path, 1.0, units=3, sample_rate_hz=RATE_HZ):

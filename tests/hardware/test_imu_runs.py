@@ -1,14 +1,12 @@
 """Runs of whole units on simulated devices: what devices, journal and log make of poses, turns and mountings."""
 
 import itertools
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hardware_evidence import record
-from imu_bench import estimated, made, short, triad
+from imu_bench import estimated, hidden_truth, made, short, triad
 from scipy.stats import chi2
 
 from gradcal_jax.estimation.imu_executed import executed_imu
@@ -16,26 +14,23 @@ from gradcal_jax.estimation.log_rows import Options, imu_rows, with_options
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.track import Ask, track_of
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.records import run_log
-from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.absent import absent_terms
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.rig import RigFile, parse_rig
+from gradcal_jax.spec.rig import parse_rig
 from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.spec.spec_sections import Spec
 
 
 @pytest.fixture(scope="module")
-def ran(imu_run: Path) -> tuple[Path, Log]:
+def ran(imu_run):
     """One cycle with two units on the table, and the log of the second."""
     return imu_run / "run", run_log.log(imu_run / "run", "unit2")
 
 
-def consistent(log: Log, spec: Spec, truth: dict[str, float], tail: float) -> tuple[float, int, float, int]:
+def consistent(log, spec, truth, tail):
     """`estimated`, whose sums of squares lie between the quantiles of `tail` and 1 - `tail`."""
     squares, degrees, nees, count = estimated(log, spec, truth)
     assert chi2.ppf(tail, degrees) < squares < chi2.ppf(1.0 - tail, degrees)
@@ -43,7 +38,7 @@ def consistent(log: Log, spec: Spec, truth: dict[str, float], tail: float) -> tu
     return squares, degrees, nees, count
 
 
-def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins() -> None:
+def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins():
     """By the very number, of turns without a rest between them: else the reading is one on the move."""
     keys = {"plan.temperature": ["10 degC", "40 degC"], "plan.gradient": "1.5 K/min", "plan.soak": "5 min"}
     track = track_of(made(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys)), ["x"])
@@ -53,7 +48,7 @@ def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins() -> None:
                 assert turn.start_s in step.read_at_s
 
 
-def test_a_rehearsal_with_one_seed_is_the_same_byte_for_byte(ran: tuple[Path, Log], tmp_path: Path) -> None:
+def test_a_rehearsal_with_one_seed_is_the_same_byte_for_byte(ran, tmp_path):
     """One thread of a run works at a time, whatever else the computer does."""
     again = tmp_path / "run"
     assert execute.run(made(short()), again, simulate=True, seed=3, units=2).exit_status == "success"
@@ -62,8 +57,8 @@ def test_a_rehearsal_with_one_seed_is_the_same_byte_for_byte(ran: tuple[Path, Lo
     assert first[1:] == second[1:]
 
 
-def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
-    turned, under_way = list[str](), ""
+def test_one_axis_turns_at_a_time(ran):
+    turned, under_way = [], ""
     for event in RunFolder(ran[0]).contents().events:
         if event.name == "move" and event.data["kind"] == "turn":
             assert not under_way
@@ -74,23 +69,21 @@ def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
     assert " ".join(turned) == "spin spin tilt tilt tilt tilt spin tilt spin tilt spin"
 
 
-def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
+def test_the_estimate_finds_what_was_hidden(ran):
     folder, log = ran
-    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
     spec = RunFolder(folder).recipe().spec
-    count = consistent(log, spec, hidden["units"]["unit2"] | hidden["installation"], 1e-4)[3]
+    count = consistent(log, spec, hidden_truth(folder, "unit2"), 1e-4)[3]
     # Of another unit it is far off: the bands can tell.
-    wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
+    wrong = estimated(log, spec, hidden_truth(folder))[2]
     assert wrong > chi2.ppf(1.0 - 1e-12, count)
 
 
-def test_an_axis_that_is_not_read_before_a_break_stands_as_before_and_not_as_behind_it(ran: tuple[Path, Log]) -> None:
+def test_an_axis_that_is_not_read_before_a_break_stands_as_before_and_not_as_behind_it(ran):
     """A run that is killed in the first quarter of a second of a rest, and gone on with at other angles."""
     folder, log = ran
     built = build_imu(RunFolder(folder).recipe().spec)
     rows, _ = imu_rows(built, [log], "unit2", Options())
     whole = executed_imu(rows, built.motion.geometry).motion.angles()[0]
-    assert log.standstill is not None
     numbers = np.unique(log.standstill[log.standstill >= 0])
     rest, behind = (np.flatnonzero(log.standstill == numbers[k]) for k in (-3, -1))
     kept = np.r_[: rest[30], behind[0] : len(rows.time_s)]
@@ -105,7 +98,7 @@ def test_an_axis_that_is_not_read_before_a_break_stands_as_before_and_not_as_beh
 
 
 @pytest.mark.parametrize("late", [-8, 8])
-def test_a_stop_of_an_instant_is_where_the_gyros_see_it_whenever_it_was_read(ran: tuple[Path, Log], late: int) -> None:
+def test_a_stop_of_an_instant_is_where_the_gyros_see_it_whenever_it_was_read(ran, late):
     """A busy computer's stamps of readings and of samples are late by different times."""
     folder, log = ran
     built = build_imu(RunFolder(folder).recipe().spec)
@@ -122,7 +115,7 @@ def test_a_stop_of_an_instant_is_where_the_gyros_see_it_whenever_it_was_read(ran
     np.testing.assert_array_equal(shifted, on_time)
 
 
-def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
+def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path):
     spec = parse_spec(presets.text("one-axis-table"))
     recipe = made(spec)
     steps = track_of(recipe, ["turn"]).steps
@@ -134,7 +127,7 @@ def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_where_nobody_controls_the_temperature_it_does_not_wait_for_the_units_to_be_hung_anew(tmp_path: Path) -> None:
+def test_where_nobody_controls_the_temperature_it_does_not_wait_for_the_units_to_be_hung_anew(tmp_path):
     """Each stretch begins when the plan says, since hanging anew is done in the unread part before it."""
     ways = [{"ramp_to": f"{end} degC", "rate": "6 K/min"} for end in (18, 10, 18)]
     soak = {"soak": "130 s", "at": "10 degC"}
@@ -153,26 +146,23 @@ def test_where_nobody_controls_the_temperature_it_does_not_wait_for_the_units_to
 
 
 @pytest.mark.parametrize("measured", [True, False], ids=["accelerometers", "gyros alone"])
-def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path: Path, measured: bool) -> None:
+def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path, measured):
     """The simulated gyros lie 3 mm beside the accelerometers, and 3 cm off the axes: a spec that does not say so is
     estimated with the lever arm of its class, and its errors are as stated."""
     sensitive = {"sensor.gyro.g_sensitivity": {"prior": "2000 deg/h/g"}}
     changes = sensitive if measured else {**sensitive, "sensor.gyro.angle_random_walk": "0.3 deg/sqrt(h)"}
     spec, run = changed(short(4) if measured else triad(), changes), tmp_path / "run"
     assert execute.run(made(spec), run, simulate=True, seed=3).exit_status == "success"
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     log = run_log.log(run)
-    consistent(log, spec, hidden["units"]["unit1"] | hidden["installation"], 1e-4)
+    consistent(log, spec, hidden_truth(run), 1e-4)
     counted, _, said = with_options(spec, [log], Options())
     arm = "3 mm" if measured else "3 cm"
-    assert counted.sensor.gyro is not None
-    assert counted.sensor.gyro.g_sensitivity is not None
     assert str(counted.sensor.gyro.g_sensitivity.lever_arm) == arm
     assert any(f"lever_arm = {arm}" in sentence for sentence in said)
     assert [t.typical for t in absent_terms(spec) if t.key.endswith("lever_arm")] == [arm]
 
 
-def one_axis_rig() -> RigFile:
+def one_axis_rig():
     return parse_rig(
         'format = "gradcal-rig/1"\n[[axis]]\nname = "turn"\ndriver = "lines"\nport = "/dev/ttyUSB9"\nsafe = "hold"\n'
         "gravity_loaded = false\noptions = { protocol = 'grbl' }\n"
@@ -183,7 +173,7 @@ def one_axis_rig() -> RigFile:
 
 
 @pytest.mark.evidence
-def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
+def test_three_mountings_on_one_axis(tmp_path):
     """Somebody hangs the unit anew between the ramps, once each although the run is stopped in the second; the log says
     how it hung, and the estimate is in its band."""
     moves = [{"rest": "4 s"}]
@@ -200,7 +190,7 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     recipe = made(changed(parse_spec(presets.text("one-axis-table")), keys))
     run = tmp_path / "run"
 
-    def look(progress: RunProgress) -> None:
+    def look(progress):
         if progress.step.startswith("motion 2, 2 of") and (progress.step_left_s or math.inf) < 15.0:
             raise HardwareError("enough")
 
@@ -210,11 +200,8 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     hung = [event.data["mounting"] for event in RunFolder(run).contents().events if event.name == "hung"]
     assert hung == [1, 2, 3]
     log = run_log.log(run)
-    assert log.mounting is not None
     assert np.unique(log.mounting).tolist() == [0, 1, 2]
     assert np.all(np.diff(log.mounting) >= 0)
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    truth = hidden["units"]["unit1"] | hidden["installation"]
-    squares, degrees, nees, count = consistent(log, recipe.spec, truth, 0.005)
+    squares, degrees, nees, count = consistent(log, recipe.spec, hidden_truth(run), 0.005)
     said = f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}"
     record("three mountings on one axis", said, "test_imu_runs")

@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,13 +19,11 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import make_safe
 from gradcal_jax.hardware.journal import (
-    Chunk,
-    Event,
     Journal,
     read_journal,
 )
 from gradcal_jax.hardware.roles import AxisLimits
-from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import Bench, open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedChamber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
@@ -37,7 +34,7 @@ from gradcal_jax.spec.rig import rig_of
 # --- journal ----------------------------------------------------------------------------------------------------------
 
 
-def write_some(path: Path) -> list[Event | Chunk]:
+def write_some(path):
     with Journal(path) as journal:
         journal.event(0.0, "start", recipe="abc", note="ünïcode")
         for index in range(6):
@@ -47,7 +44,7 @@ def write_some(path: Path) -> list[Event | Chunk]:
     return read_journal(path).records
 
 
-def test_journal_cut_at_every_byte_opens_with_every_whole_record(tmp_path: Path) -> None:
+def test_journal_cut_at_every_byte_opens_with_every_whole_record(tmp_path):
     records = write_some(tmp_path / "j")
     data = (tmp_path / "j").read_bytes()
     seen = 0
@@ -59,7 +56,7 @@ def test_journal_cut_at_every_byte_opens_with_every_whole_record(tmp_path: Path)
     assert seen == len(records)
 
 
-def test_journal_goes_on_behind_a_torn_record_and_loses_only_that(tmp_path: Path) -> None:
+def test_journal_goes_on_behind_a_torn_record_and_loses_only_that(tmp_path):
     path = tmp_path / "j"
     records = write_some(path)
     data = path.read_bytes()
@@ -76,7 +73,7 @@ def test_journal_goes_on_behind_a_torn_record_and_loses_only_that(tmp_path: Path
         assert path.read_bytes()[:cut] == data[:cut]
 
 
-def test_journal_with_any_flipped_bit_loses_one_record_at_most(tmp_path: Path) -> None:
+def test_journal_with_any_flipped_bit_loses_one_record_at_most(tmp_path):
     records = write_some(tmp_path / "j")
     data = (tmp_path / "j").read_bytes()
     generator = np.random.default_rng(0)
@@ -89,7 +86,7 @@ def test_journal_with_any_flipped_bit_loses_one_record_at_most(tmp_path: Path) -
         assert contents.damaged_bytes > 0
 
 
-def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> None:
+def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path):
     program = (
         "import resource, sys, pathlib; from gradcal_jax.hardware.journal import Journal\n"
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
@@ -108,14 +105,14 @@ def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> N
     assert done.stdout.endswith("again\n")
     contents = read_journal(tmp_path / "j")
     assert contents.events[0].name == "start"
-    assert len(list(chunks_of(contents, "unit"))) == 19
+    assert len(chunks_of(contents, "unit")) == 19
 
 
-def test_many_threads_write_whole_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_threads_write_whole_records(tmp_path, monkeypatch):
     monkeypatch.setattr(journal_module, "_SYNC_EVERY_S", 0.01)
     with Journal(tmp_path / "j") as journal:
 
-        def write(line: str) -> None:
+        def write(line):
             for index in range(300):
                 journal.bytes_of(line, float(index), f"{line}{index}".encode() * 20, received=True)
 
@@ -138,9 +135,9 @@ def test_many_threads_write_whole_records(tmp_path: Path, monkeypatch: pytest.Mo
 # --- clocks -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_clock_map_knows_what_delays_that_last_for_minutes_can_do_to_its_rate() -> None:
+def test_a_clock_map_knows_what_delays_that_last_for_minutes_can_do_to_its_rate():
     """A busy computer delays even the quickest arrivals, now and for a while: no number of them averages that out."""
-    generator, squares = np.random.default_rng(7), list[float]()
+    generator, squares = np.random.default_rng(7), []
     device = np.arange(0.0, 100.0, 0.5)
     for _ in range(50):
         busy = 0.005 * generator.random(10)[(device // 10.0).astype(int)]
@@ -149,11 +146,11 @@ def test_a_clock_map_knows_what_delays_that_last_for_minutes_can_do_to_its_rate(
     assert 0.3 < np.mean(squares) < 2.0
 
 
-def test_a_command_that_goes_on_does_not_undo_what_was_made_safe() -> None:
+def test_a_command_that_goes_on_does_not_undo_what_was_made_safe():
     """A chamber that is slow to take a set point is in standby at the end, and verified only then."""
 
     class Slow(SimulatedChamber):
-        def hold(self, temperature_c: float) -> None:
+        def hold(self, temperature_c):
             goes_on.set()
             time.sleep(1.0)
             SimulatedChamber.hold(self, temperature_c)
@@ -171,9 +168,9 @@ def test_a_command_that_goes_on_does_not_undo_what_was_made_safe() -> None:
     assert outcome.tries > 1
 
 
-def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop() -> None:
+def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop():
     class Slow(SimulatedAxis):
-        def home(self) -> None:
+        def home(self):
             searching.set()
             time.sleep(1.0)
             self.plant.spin(clock.now(), 30.0, 100.0)
@@ -184,7 +181,7 @@ def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop() -> None:
     rig = rig_of({"format": "gradcal-rig/1", "axis": [table]})
     control = AxisControl({"a": axis}, clock, lambda *_, **__: None)
 
-    def ends() -> None:
+    def ends():
         searching.wait()
         raise KeyboardInterrupt
 
@@ -200,11 +197,9 @@ SPINS = Track((TrackStep("spin", 60.0, courses=(Course(0.0, 40.0),), moves=(SPIN
 
 
 @pytest.mark.parametrize("fate", ["pulled", pytest.param("hangs", marks=pytest.mark.long)])
-def test_a_disk_that_fails_keeps_no_stop_off_the_wire(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fate: str
-) -> None:
+def test_a_disk_that_fails_keeps_no_stop_off_the_wire(tmp_path, monkeypatch, fate):
     """Of a run that records all of its lines; the stick that holds its journal is pulled, or its disk hangs."""
-    clock, began, safe = RealClock(), list[float](), list[float]()
+    clock, began, safe = RealClock(), [], []
     fails, awake, write = threading.Event(), threading.Event(), os.write
     with ExitStack() as stack:
         rig, journal = stack.enter_context(Rig(clock)), stack.enter_context(Journal(tmp_path / "journal"))
@@ -212,14 +207,14 @@ def test_a_disk_that_fails_keeps_no_stop_off_the_wire(
         runner = Runner(SPINS, bench, journal, clock, safe_deadline_s=10.0, chamber_every_s=0.5)
         file = (tmp_path / "journal").stat()
 
-        def spoilt(handle: int, data: bytes) -> int:
+        def spoilt(handle, data):
             if fails.is_set() and os.path.samestat(os.fstat(handle), file):
                 if fate == "pulled":
                     raise OSError(5, "Input/output error")
                 awake.wait(60.0)
             return write(handle, data)
 
-        def look(progress: RunProgress) -> None:
+        def look(progress):
             if not began and rig.axis.state(clock.now())[1] > 149.0:
                 began.append(time.monotonic())
                 fails.set()
@@ -227,7 +222,7 @@ def test_a_disk_that_fails_keeps_no_stop_off_the_wire(
                     runner.abort("SIGTERM")
                     threading.Timer(8.0, awake.set).start()
 
-        def see() -> None:
+        def see():
             while not safe:
                 time.sleep(0.02)
                 if began and rig.axis.state(clock.now())[1] == 0.0 and not rig.chamber.plant.conditioning:
@@ -244,7 +239,7 @@ def test_a_disk_that_fails_keeps_no_stop_off_the_wire(
         assert safe[0] - began[0] < 5.0
 
 
-def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path) -> None:
+def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path):
     path = tmp_path / "j"
     program = (
         "import sys, pathlib; from gradcal_jax.hardware.journal import Journal\n"
@@ -256,13 +251,12 @@ def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path
     )
     for attempt in range(3):
         with subprocess.Popen([sys.executable, "-c", program, str(path)], stdout=subprocess.PIPE) as child:
-            assert child.stdout is not None
             acknowledged = [int(child.stdout.readline()) for _ in range(5 + attempt)][-1]
             child.send_signal(signal.SIGKILL)
             child.wait()
         contents = read_journal(path)
         assert acknowledged in [event.data.get("number") for event in contents.events if event.name == "step"]
-        chunks = list(chunks_of(contents, "unit"))
+        chunks = chunks_of(contents, "unit")
         assert (
             sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
         )

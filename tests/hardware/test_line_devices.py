@@ -1,7 +1,5 @@
 """Chambers and axes by their descriptions, against simulated peers: behaviour, refusals, spoilt lines, late replies."""
 
-from typing import Any
-
 import pytest
 from hardware_bench import (
     aerosmith_bench,
@@ -12,10 +10,8 @@ from hardware_bench import (
     grbl_bench,
     lines_config,
 )
-from simulated_devices.espec import EspecOptions
-from simulated_devices.faults import Faults, Spoils
+from simulated_devices.faults import Faults
 
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import (
     DeviceFault,
     Disconnected,
@@ -32,22 +28,22 @@ of_chambers = pytest.mark.parametrize("bench", CHAMBERS.values(), ids=CHAMBERS)
 of_axes = pytest.mark.parametrize("bench", AXES.values(), ids=AXES)
 
 
-def set_point(device: Any, clock: Any) -> float:
+def set_point(device, clock):
     return device.plant.set_point_c(clock.now())
 
 
-def rate_dps(device: Any, clock: Any) -> float:
+def rate_dps(device, clock):
     return device.plant.state(clock.now())[1]
 
 
-def come_to_rest(axis: Any, clock: Any) -> float:
+def come_to_rest(axis, clock):
     began = clock.now()
     while axis.read().moving:
         clock.sleep(0.05)
     return clock.now() - began
 
 
-def use_chamber(chamber: Any, device: Any, clock: Any, number: int) -> None:
+def use_chamber(chamber, device, clock, number):
     """What returns without an exception has taken effect."""
     target = 20.0 + number
     chamber.hold(target)
@@ -64,7 +60,7 @@ def use_chamber(chamber: Any, device: Any, clock: Any, number: int) -> None:
     assert not device.plant.conditioning
 
 
-def use_axis(axis: Any, device: Any, clock: Any, number: int) -> None:
+def use_axis(axis, device, clock, number):
     axis.identify()
     axis.home()
     axis.move_to(40.0 + number, 100.0, 200.0)
@@ -81,9 +77,8 @@ def use_axis(axis: Any, device: Any, clock: Any, number: int) -> None:
 
 
 @of_chambers
-def test_every_chamber_holds_settles_and_goes_safe(bench: Any) -> None:
-    clock = VirtualClock()
-    with bench(clock) as (chamber, device, port):
+def test_every_chamber_holds_settles_and_goes_safe(bench):
+    with bench() as (chamber, device, port, clock):
         limits = chamber.limits()
         assert not chamber.read().conditioning
         use_chamber(chamber, device, clock, 0)
@@ -112,8 +107,8 @@ def test_every_chamber_holds_settles_and_goes_safe(bench: Any) -> None:
 
 
 @of_chambers
-def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench: Any) -> None:
-    with bench(VirtualClock()) as (chamber, _, port):
+def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench):
+    with bench() as (chamber, _, port, _):
         port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout, match=f"{port.url} was sent .*did not answer"):
             chamber.read()
@@ -124,17 +119,15 @@ def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench: Any) -> None:
             chamber.read()
 
 
-def test_the_slope_that_a_device_shows_is_told_wherever_its_reply_has_it() -> None:
-    clock = VirtualClock()
+def test_the_slope_that_a_device_shows_is_told_wherever_its_reply_has_it():
     reply = "R1 {state:char}{:char} {up} {down} {target}"
-    with cts_bench(clock, config=lines_config("cts", changes={"ask": {"ramp": {"reply": reply}}})) as (chamber, *_):
+    with cts_bench(lines_config("cts", changes={"ask": {"ramp": {"reply": reply}}})) as (chamber, *_):
         assert chamber.ramp(60.0, 1.5) == pytest.approx(1.5, abs=0.01)
 
 
 @pytest.mark.parametrize("bench", [cts_bench, f4t_bench])
-def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench: Any) -> None:
-    clock = VirtualClock()
-    with bench(clock) as (chamber, device, _):
+def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench):
+    with bench() as (chamber, device, _, clock):
         chamber.hold(-20.0)
         clock.sleep(5400.0)
         # The second from within the first, downwards.
@@ -155,16 +148,9 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench: Any) ->
         assert getattr(device, "up", 999.9) == getattr(device, "down", 999.9) == 999.9
 
 
-def test_an_espec_with_address_alarms_and_an_old_controller() -> None:
-    clock = VirtualClock()
-    config = espec_config(line={"prefix": "3,"}, ask={"mode": {"send": "MODE?"}})
-    options = EspecOptions(address=3, old=True)
-    with espec_bench(clock, options, config) as (chamber, device, _):
+def test_a_program_at_the_panel_ends_with_a_set_point_and_alarms_are_read():
+    with espec_bench() as (chamber, device, _, clock):
         assert chamber.identify().model == "ESPEC P300"
-        chamber.hold(30.0)
-        clock.sleep(3600.0)
-        assert chamber.read().air_c == pytest.approx(30.0, abs=0.6)
-        # Somebody starts a program at the panel: a set point ends it.
         device.run_program(60.0)
         assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
         chamber.hold(40.0)
@@ -172,12 +158,11 @@ def test_an_espec_with_address_alarms_and_an_old_controller() -> None:
         with pytest.raises(Rejected, match="steps of the set point"):
             chamber.ramp(50.0, 1.0)
         device.raise_alarm(18)
-        reading = chamber.read()
-        assert (reading.alarms, reading.conditioning) == (("18",), False)
+        assert (chamber.read().alarms, chamber.read().conditioning) == (("18",), False)
 
 
-def test_what_an_espec_refuses_or_only_acknowledges_is_said() -> None:
-    with espec_bench(VirtualClock()) as (chamber, device, port):
+def test_what_an_espec_refuses_or_only_acknowledges_is_said():
+    with espec_bench() as (chamber, device, port, _):
         device._enter = lambda mode: None  # local mode at the panel: it says OK and stays as it is
         with pytest.raises(NotVerified, match="read-back"):
             chamber.hold(30.0)
@@ -186,9 +171,9 @@ def test_what_an_espec_refuses_or_only_acknowledges_is_said() -> None:
             chamber.hold(40.0)
 
 
-def test_a_lost_acknowledgement_repeats_no_command() -> None:
+def test_a_lost_acknowledgement_repeats_no_command():
     faults = Faults()
-    with espec_bench(VirtualClock(), faults=faults) as (chamber, device, _):
+    with espec_bench(faults=faults) as (chamber, device, *_):
         chamber.hold(20.0)
         device.commands.clear()
         # Questions before the command: limits, mode; the third message is the acknowledgement.
@@ -200,9 +185,8 @@ def test_a_lost_acknowledgement_repeats_no_command() -> None:
 # ---------------------------------------------------------------------------------------------------------- registers
 
 
-def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first() -> None:
-    clock = VirtualClock()
-    with f4t_bench(clock) as (chamber, device, _):
+def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first():
+    with f4t_bench() as (chamber, device, _, clock):
         # Somebody wrote a set point beforehand, to a loop that is off.
         device.put(2782, -30.0)
         assert (chamber.read().conditioning, chamber.read().setpoint_c) == (False, 23.0)
@@ -227,9 +211,8 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
 
 
 @of_axes
-def test_every_axis_homes_turns_spins_and_stops(bench: Any) -> None:
-    clock = VirtualClock()
-    with bench(clock) as (axis, device, _):
+def test_every_axis_homes_turns_spins_and_stops(bench):
+    with bench() as (axis, device, _, clock):
         with pytest.raises(DeviceFault):
             axis.move_to(10.0, 50.0, 100.0)
         axis.home()
@@ -260,9 +243,9 @@ def test_every_axis_homes_turns_spins_and_stops(bench: Any) -> None:
         assert axis.safe("hold").verified
 
 
-def test_direction_and_zero_of_the_rig_file() -> None:
-    clock, config = VirtualClock(), lines_config("aerosmith-like", direction=-1, zero="90 deg")
-    with aerosmith_bench(clock, config=config) as (axis, device, _):
+def test_direction_and_zero_of_the_rig_file():
+    config = lines_config("aerosmith-like", direction=-1, zero="90 deg")
+    with aerosmith_bench(config) as (axis, device, _, clock):
         axis.home()
         assert axis.read().position_deg == 90.0
         axis.move_to(120.0, 50.0, 100.0)
@@ -275,16 +258,16 @@ def test_direction_and_zero_of_the_rig_file() -> None:
 
 
 @of_axes
-def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench: Any, monkeypatch: Any) -> None:
+def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench, monkeypatch):
     """Of a device whose position comes with its state, and of one that is asked for it."""
-    clock, late = VirtualClock(), [0.3]
-    with bench(clock) as (axis, _, _):
+    late = [0.3]
+    with bench() as (axis, _, _, clock):
         axis.home()
         axis.spin(100.0, 200.0)
         clock.sleep(2.0)
         ask = axis._speaker._ask
 
-        def read_late(question: Any) -> Any:
+        def read_late(question):
             reply = ask(question)
             clock.sleep(late[0])
             return reply
@@ -296,9 +279,8 @@ def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench: Any, mo
         assert 50.0 < axis.read().rate_dps < 101.0
 
 
-def test_grbl_that_restarted_has_no_reference_and_does_not_move() -> None:
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, port):
+def test_grbl_that_restarted_has_no_reference_and_does_not_move():
+    with grbl_bench() as (axis, device, port, clock):
         axis.home()
         axis.move_to(10.0, 50.0, 100.0)
         clock.sleep(5.0)
@@ -323,10 +305,9 @@ def test_grbl_that_restarted_has_no_reference_and_does_not_move() -> None:
             axis.read()
 
 
-def test_grbl_stops_where_it_stands_and_its_settings_are_put_back() -> None:
+def test_grbl_stops_where_it_stands_and_its_settings_are_put_back():
     """A feed hold where nothing moves would lock the board; a cancelled jog does not."""
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, port):
+    with grbl_bench() as (axis, device, port, clock):
         axis.home()
         assert axis.safe("hold").verified
         assert axis.read().faults == ()
@@ -342,12 +323,11 @@ def test_grbl_stops_where_it_stands_and_its_settings_are_put_back() -> None:
             axis.spin(10.0, 100.0)
 
 
-def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> None:
-    clock = VirtualClock()
-    with grbl_bench(clock) as (axis, device, _):
-        receive, heard = device.receive, list[float]()
+def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time():
+    with grbl_bench() as (axis, device, _, clock):
+        receive, heard = device.receive, []
 
-        def deaf_at_first(data: bytes) -> list[bytes]:
+        def deaf_at_first(data):
             heard.append(clock.now())
             return receive(data) if clock.now() >= 2.0 else []
 
@@ -356,9 +336,8 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> No
     assert heard[0] >= 2.5
 
 
-def test_a_rate_that_was_lost_lets_no_table_go_and_its_power_is_its_operators() -> None:
-    clock = VirtualClock()
-    with aerosmith_bench(clock) as (axis, device, _):
+def test_a_rate_that_was_lost_lets_no_table_go_and_its_power_is_its_operators():
+    with aerosmith_bench() as (axis, device, _, clock):
         axis.home()
         receive = device.receive
         device.receive = lambda data: [b"\r\n>"] if data.startswith((b"VEL0", b"VEL5")) else receive(data)
@@ -376,7 +355,7 @@ def test_a_rate_that_was_lost_lets_no_table_go_and_its_power_is_its_operators() 
 # ------------------------------------------------------------------------------------------------------- spoilt lines
 
 
-def made_safe(driver: Any, how: Any) -> bool:
+def made_safe(driver, how):
     try:
         return driver.safe(how).verified
     except HardwareError:
@@ -386,13 +365,13 @@ def made_safe(driver: Any, how: Any) -> bool:
 @pytest.mark.parametrize("way", ["commands", "faults"])
 @pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay", "always"])
 @pytest.mark.parametrize("bench", [*CHAMBERS.values(), *AXES.values()], ids=[*CHAMBERS, *AXES])
-def test_lines_lost_doubled_damaged_and_late_once_and_always(bench: Any, fault: Any, way: str) -> None:
+def test_lines_lost_doubled_damaged_and_late_once_and_always(bench, fault, way):
     """Commands, or replies, of a session: each in its turn suffers the fault, or all of them one of several."""
     often = dict.fromkeys(("drop", "truncate", "duplicate", "noise"), 0.04) if fault == "always" else {}
-    clock, faults = VirtualClock(), Faults(seed=5, delay_s=0.15, probability=often)
+    faults = Faults(seed=5, delay_s=0.15, probability=often)
     use, safe = (use_axis, "hold") if bench in AXES.values() else (use_chamber, "standby")
     refused = 0
-    with bench(clock, **{way: faults}) as (driver, device, _):
+    with bench(**{way: faults}) as (driver, device, _, clock):
         for number in range(12):
             # The other lines of the session pass: a line that is split is whole again.
             faults._next.clear()
@@ -413,13 +392,13 @@ def test_lines_lost_doubled_damaged_and_late_once_and_always(bench: Any, fault: 
 # ------------------------------------------------------------------------------------------------------- late answers
 
 
-def late(delay_s: float, begins: bytes = b"") -> Spoils:
+def late(delay_s, begins=b""):
     """Messages that begin so come so many seconds after they were sent."""
     return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
 
 
-def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late() -> None:
-    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
+    with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(0.45)
         assert chamber._speaker.read("air")["air"] == "23.0"
         assert f"ESPEC at {port.url} was sent 'TEMP?" in port.late
@@ -428,9 +407,9 @@ def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late() -> No
         assert chamber.identify().firmware == "P3S1.10"
 
 
-def test_a_later_reply_counts_for_no_other_question() -> None:
+def test_a_later_reply_counts_for_no_other_question():
     """The query fails, and what still comes is awaited before the next."""
-    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+    with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(1.4)
         with pytest.raises(ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise"):
             chamber._speaker.read("air")

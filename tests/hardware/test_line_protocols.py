@@ -10,9 +10,10 @@ import re
 import time
 import tomllib
 from contextlib import suppress
-from typing import Any
+from unittest.mock import Mock
 
 import pytest
+from hardware_bench import chamber_alone
 from hypothesis import given
 from hypothesis import strategies as st
 from simulated_devices.port import SimulatedPort
@@ -26,11 +27,10 @@ from gradcal_jax.hardware.line_protocol import LINES, LineProtocol
 from gradcal_jax.hardware.modbus import Rtu, Tcp, read_body, words_of, write_body
 from gradcal_jax.hardware.setup import configs_of, open_rig
 from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
-from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 
 # Question -> its bytes, and the bytes of a reply with the values in it.
-ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
+ASKED = {
     "espec": {
         "temperature": (
             bytes.fromhex("54 45 4D 50 3F 0D 0A"),
@@ -69,7 +69,7 @@ ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
         ),
     },
 }
-TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
+TOLD = {
     "espec": {"setpoint": ({"setpoint": 25.0}, [b"TEMP, S25.0\r\n"])},
     "thermotron-3800": {"setpoint": ({"setpoint": 22.5}, [b"SETP1,22.5\r"]), "off": ({}, [b"STOP\r"])},
     "cts": {
@@ -88,7 +88,7 @@ TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
 
 
 @pytest.mark.parametrize("name", ASKED)
-def test_golden_messages(name: str) -> None:
+def test_golden_messages(name):
     said = described(LineProtocol, name)
     codec = Codec(said)
     for question, (sent, received, values) in ASKED[name].items():
@@ -96,7 +96,6 @@ def test_golden_messages(name: str) -> None:
         assert codec.message(asked.send, bare=asked.bare) == sent
         (text,) = codec.texts(received)
         found = reply_pattern(asked.reply[0]).fullmatch(text)
-        assert found is not None
         assert {key: found[key] for key in values} == values
         assert codec.texts(received[:-2]) == []
     for command_name, (given_values, expected) in TOLD[name].items():
@@ -105,10 +104,12 @@ def test_golden_messages(name: str) -> None:
         assert [codec.message(send, bare=command.bare) for send in sends] == expected
 
 
-def test_what_is_not_a_reply_of_an_espec() -> None:
+def test_what_is_a_reply_of_an_espec_and_what_is_not():
     codec = Codec(LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described)
     assert codec.message("MON?") == b"1,MON?\r\n"
     pattern = reply_pattern(described(LineProtocol, "espec").ask["temperature"].reply[0])
+    # Of an old controller: whole degrees, and blanks after commas.
+    assert any(map(pattern.fullmatch, codec.texts(b"26, 0, 140, -50\r\n")))
     for frame in (b"26.4,0.0,140.0", b"26.4,,140.0,-50.0", b"nan,0.0,140.0,-50.0", b"2\xb6.4,0,1,2", b"2\x016.4,0,1,2"):
         assert not any(map(pattern.fullmatch, codec.texts(frame + b"\r\n")))
 
@@ -121,14 +122,13 @@ WRITE_MINUS_40 = bytes.fromhex("01 06 01 2C FE 70 08 7B")
 EXCEPTION = bytes.fromhex("01 83 02 C0 F1")
 
 
-def test_golden_modbus() -> None:
+def test_golden_modbus():
     assert RTU.message(read_body(100)) == READ_PV
     assert RTU.message(write_body(300, (250,))) == WRITE_25
     assert RTU.message(write_body(300, (-400,))) == WRITE_MINUS_40
     noise = b"\xff\x01\x03\x55\x03\x02"
     for reply, word in ((MODBUS_25, 250), (bytes.fromhex("01 03 02 FE 70 F9 C0"), 65536 - 400)):
         body = RTU.reply(noise + reply, read_body(100))
-        assert body is not None
         assert words_of(body) == (word,)
     assert RTU.reply(WRITE_25, write_body(300, (250,))) is not None
     assert RTU.reply(WRITE_MINUS_40, write_body(300, (250,))) is None
@@ -137,12 +137,11 @@ def test_golden_modbus() -> None:
         RTU.reply(EXCEPTION, read_body(100))
 
 
-def test_golden_modbus_on_tcp() -> None:
+def test_golden_modbus_on_tcp():
     """By hand from the protocol's definition: 25.0 is 41C80000, and its low word goes first."""
     tcp, read, write = Tcp(1), read_body(2820, 2), write_body(2782, (0x0000, 0x41C8))
     assert [tcp.message(read) for _ in range(7)][-1] == bytes.fromhex("0007 0000 0006 01 03 0B04 0002")
     body = tcp.reply(bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8"), read)
-    assert body is not None
     assert words_of(body) == (0, 0x41C8)
     with pytest.raises(Rejected, match="register address"):
         tcp.reply(bytes.fromhex("0007 0000 0003 01 83 02"), read)
@@ -152,7 +151,7 @@ def test_golden_modbus_on_tcp() -> None:
 
 
 @given(st.binary(max_size=300))
-def test_no_bytes_make_a_message_of_modbus_raise(anything: bytes) -> None:
+def test_no_bytes_make_a_message_of_modbus_raise(anything):
     tcp = Tcp(1)
     tcp.message(read_body(100))
     for modbus, head in ((RTU, b"\x01"), (RTU, b"\x01\x83"), (tcp, b"\0\1\0\0"), (tcp, b"\0\1\0\0\0\2\1")):
@@ -160,7 +159,7 @@ def test_no_bytes_make_a_message_of_modbus_raise(anything: bytes) -> None:
             modbus.reply(head + anything, read_body(100))
 
 
-def test_no_bit_of_a_checked_message_may_be_wrong() -> None:
+def test_no_bit_of_a_checked_message_may_be_wrong():
     codec, framed = Codec(described(LineProtocol, "cts")), ASKED["cts"]["temperature"][1]
     frames = [
         (MODBUS_25, 8, lambda frame: RTU.reply(frame, read_body(100))),
@@ -186,14 +185,14 @@ SENSORS = {
 MOST_S = 5.0
 
 
-def sensor(line: str) -> Any:
-    tables: dict[str, Any] = {"format": "gradcal-text/1", "line": line, "rate": "200 Hz"}
+def sensor(line):
+    tables = {"format": "gradcal-text/1", "line": line, "rate": "200 Hz"}
     return TextUnitConfig(protocol=tables).described.decoder()
 
 
-def damaged(template: str) -> list[bytes]:
+def damaged(template):
     """10 000 lines with columns of up to 50 blanks, of which each has a character that the template has not."""
-    lines: list[bytes] = []
+    lines = []
     for number in range(10_000):
         wide = " " * (number % 50)
         line = re.sub(r"\{[^}]*\}", f"{wide}-1.25{wide}", template).replace(" ", f"{wide} ")[:4000]
@@ -203,7 +202,7 @@ def damaged(template: str) -> list[bytes]:
 
 
 @pytest.mark.parametrize("line", SENSORS.values(), ids=SENSORS)
-def test_damaged_lines_of_a_printing_sensor_take_linear_time(line: str) -> None:
+def test_damaged_lines_of_a_printing_sensor_take_linear_time(line):
     decoder, lines = sensor(line), damaged(line)
     begun = time.process_time()
     for number in range(0, len(lines), 100):
@@ -213,7 +212,7 @@ def test_damaged_lines_of_a_printing_sensor_take_linear_time(line: str) -> None:
 
 
 @pytest.mark.parametrize("name", shipped(LINES))
-def test_damaged_replies_of_every_description_take_linear_time(name: str) -> None:
+def test_damaged_replies_of_every_description_take_linear_time(name):
     protocol = described(LineProtocol, name)
     replies = [reply for of in (*protocol.ask.values(), *protocol.tell.values()) for reply in of.reply]
     patterns = [reply_pattern(reply) for reply in dict.fromkeys(replies)]
@@ -224,7 +223,7 @@ def test_damaged_replies_of_every_description_take_linear_time(name: str) -> Non
     assert time.process_time() - begun < MOST_S
 
 
-def test_columns_that_are_padded_are_read() -> None:
+def test_columns_that_are_padded_are_read():
     printed = "".join(f"{value:10.3f}" for value in range(1, 7))
     batch = sensor(SENSORS["padded"]).push(f"{printed}\r\n".encode() * 2, 0.0)
     assert batch.gyro_dps.tolist() == [[1.0, 2.0, 3.0]] * 2
@@ -233,7 +232,7 @@ def test_columns_that_are_padded_are_read() -> None:
 
 
 @given(st.floats(-999.0, 999.0), st.sampled_from(["05.1f", ".2f", ".0f", "g", "07.3f"]))
-def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: str) -> None:
+def test_a_value_that_was_written_is_shown_by_itself_alone(value, spec):
     text, written = formatted(f"a {{setpoint:{spec}}} b", {"setpoint": value})
     assert text == f"a {written['setpoint']} b"
     assert shows(written["setpoint"], written["setpoint"])
@@ -263,7 +262,7 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
         ("julabo", lambda t: t["state"]["conditioning"].update(bit=1), "use exactly one of"),
     ],
 )
-def test_what_cannot_be_trusted_is_refused(name: str, change: Any, expected: str) -> None:
+def test_what_cannot_be_trusted_is_refused(name, change, expected):
     tables = tomllib.loads(protocol_text(name))
     change(tables)
     with pytest.raises(SpecError) as caught:
@@ -271,29 +270,23 @@ def test_what_cannot_be_trusted_is_refused(name: str, change: Any, expected: str
     assert expected in str(caught.value)
 
 
-def test_a_description_of_the_other_role_is_refused() -> None:
-    chamber = {"driver": "lines", "port": "COM1", "safe": "hold", "options": {"protocol": "grbl"}}
+def test_a_description_of_the_other_role_is_refused():
     with pytest.raises(SpecError, match="describes an axis"):
-        configs_of(rig_of({"format": "gradcal-rig/1", "chamber": chamber}))
+        configs_of(chamber_alone("grbl"))
 
 
-class Silent:
-    def receive(self, data: bytes) -> list[bytes]:
-        return []
-
-
-def test_a_line_is_as_the_description_has_it() -> None:
-    clock, options = RealClock(), {"protocol": "julabo", "changes": {"line": {"baudrate": 19200}}}
-    with SimulatedPort(Silent(), clock) as port:
-        chamber = {"driver": "lines", "port": port.url, "safe": "hold", "options": options}
-        with open_rig(rig_of({"format": "gradcal-rig/1", "chamber": chamber}), clock) as bench:
+def test_a_line_is_as_the_description_has_it():
+    options = {"changes": {"line": {"baudrate": 19200}}}
+    with SimulatedPort(Mock(spec=["receive"]), RealClock()) as port:
+        rig = chamber_alone("julabo", port=port.url, options=options)
+        with open_rig(rig, RealClock()) as bench:
             line = bench.lines["chamber"]._port
             assert (line.bytesize, line.stopbits, line.parity, line.baudrate) == (7, 1, "E", 19200)
 
 
 @pytest.mark.parametrize("name", shipped(LINES))
-def test_a_set_point_starts_no_chamber(name: str) -> None:
+def test_a_set_point_starts_no_chamber(name):
     """Somebody who switched a chamber off at its panel finds it off."""
-    tell = tomllib.loads(protocol_text(name)).get("tell", {})
-    lines = {what: one["send"] if isinstance(one["send"], list) else [one["send"]] for what, one in tell.items()}
-    assert not set(lines.get("on", [])) & set(lines.get("setpoint", []))
+    tell = described(LineProtocol, name).tell
+    lines = {what: tell[what].send if what in tell else () for what in ("on", "setpoint")}
+    assert not {*lines["on"]} & {*lines["setpoint"]}

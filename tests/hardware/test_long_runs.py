@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ print(json.dumps(peak_kb[0] / 1024), file=sys.stderr)
 """
 
 
-def recorded_run(path: Path, duration_s: float) -> Path:
+def recorded_run(path, duration_s):
     """The folder of a run that rests, turns once and rests again, over and over."""
     rig = parse_rig(TEMPLATE)
     folder = new_folder(path, short_recipe(), rig)
@@ -80,7 +79,7 @@ def recorded_run(path: Path, duration_s: float) -> Path:
     return path
 
 
-def memory_mb(folder: Path, rows: int) -> float:
+def memory_mb(folder, rows):
     """The largest memory of a process that makes the log of a run: its own, without the files that are mapped into it,
     which the system takes back where it needs memory."""
     done = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, check=True)
@@ -90,7 +89,7 @@ def memory_mb(folder: Path, rows: int) -> float:
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from /proc")
-def test_a_run_of_30_h_is_read_in_little_memory(tmp_path: Path) -> None:
+def test_a_run_of_30_h_is_read_in_little_memory(tmp_path):
     """300 MB, the program itself included: what a run of three minutes takes, and the rest."""
     hour_s = 3600
     alone = memory_mb(recorded_run(tmp_path / "short", 180.0), 180 * RATE_HZ)

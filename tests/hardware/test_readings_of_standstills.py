@@ -1,14 +1,12 @@
 """Readings of axes that are held: a run takes as many as are predicted, and an estimate counts those that it took."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from imu_bench import made, short
 
-from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
+from gradcal_jax.estimation import executed_imu, readings_counted
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
@@ -17,13 +15,13 @@ from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.model.build import BuiltImu, build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.records import run_log
-from gradcal_jax.records.log import Log, ReadingKind
+from gradcal_jax.records.log import ReadingKind
 from gradcal_jax.spec.changes import changed
 
 EVERY_S = 1.5
-MOVES: list[dict[str, Any]] = [
+MOVES = [
     {"rest": "7 s"},
     {"turn": "360 deg", "axis": "spin", "peak_rate": "100 deg/s"},
     {"rest": "5 s"},
@@ -38,7 +36,7 @@ RAMP = "20 K/min"
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log, BuiltImu]:
+def ran(tmp_path_factory):
     """Two ramps, and a soak between them that is not used, by a noisy encoder."""
     folder = tmp_path_factory.mktemp("held") / "run"
     angle = {"reading_noise": "0.01 deg", "standstill_offset": "0.001 deg", "read_every": f"{EVERY_S} s"}
@@ -56,7 +54,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log, BuiltImu]:
     return folder, run_log.log(folder), build_imu(RunFolder(folder).recipe().spec)
 
 
-def executed(log: Log, built: BuiltImu) -> ExecutedImu:
+def executed(log, built):
     rows, _ = imu_rows(built, [log], log.units[0], Options())
     return readings_counted(executed_imu(rows, built.motion.geometry), built.model)
 
@@ -64,18 +62,18 @@ def executed(log: Log, built: BuiltImu) -> ExecutedImu:
 class Told(SimulatedAxis):
     """Remembers where it was sent."""
 
-    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+    def move_to(self, position_deg, rate_dps, acceleration_dps2):
         self.sent.append(position_deg)
         super().move_to(position_deg, rate_dps, acceleration_dps2)
 
 
-def test_an_axis_goes_to_its_start_unless_it_stands_there() -> None:
+def test_an_axis_goes_to_its_start_unless_it_stands_there():
     clock = VirtualClock()
     stage = Told(AxisPlant(None, clock.now()), clock, AxisLimits(100.0, 100.0, None, None, 0.001))
     axes = AxisControl({"tilt": stage}, clock, lambda name, **data: None)
 
-    def started(angle: float) -> list[float]:
-        stage.sent = list[float]()
+    def started(angle):
+        stage.sent = []
         axes.go_to_start("a step", {"tilt": angle}, lambda: clock.sleep(0.1))
         return stage.sent
 
@@ -89,7 +87,7 @@ def test_an_axis_goes_to_its_start_unless_it_stands_there() -> None:
         assert started(40.0) == [40.0]
 
 
-def test_an_estimate_counts_as_many_readings_as_are_predicted(ran) -> None:
+def test_an_estimate_counts_as_many_readings_as_are_predicted(ran):
     _, log, built = ran
     done = executed(log, built)
     line, moves = done.motion.line, done.motion.axis >= 0
@@ -108,12 +106,10 @@ def test_an_estimate_counts_as_many_readings_as_are_predicted(ran) -> None:
     assert np.mean(share[within]) < 1.1
 
 
-def test_readings_that_were_not_made_are_not_counted(ran) -> None:
+def test_readings_that_were_not_made_are_not_counted(ran):
     """The first one of each standstill is left."""
     _, log, built = ran
-    assert log.readings is not None
     whole = executed(log, built)
-    assert log.standstill is not None
     read = log.readings
     _, first = np.unique(np.stack([read.axis, log.standstill[read.row]]), axis=1, return_index=True)
     kept = (read.kind != ReadingKind.PLANNED) | (log.standstill[read.row] < 0)

@@ -1,7 +1,6 @@
 """Recipes on rigs: what becomes of them when they are resumed, aborted, or have no business there."""
 
 import threading
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -14,8 +13,8 @@ from simulated_devices.port_lab import SimulatedLab
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.runner import Runner, RunResult
-from gradcal_jax.hardware.track import Track, track_of
+from gradcal_jax.hardware.runner import Runner
+from gradcal_jax.hardware.track import track_of
 from gradcal_jax.information import segments_of
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.tracks import tracks_of
@@ -31,7 +30,7 @@ SPEED = 20.0
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) -> None:
+def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name):
     made = unpredicted(parse_spec(presets.text(name)))
     table = made.spec.rig.table
     track = track_of(made, [axis.name for axis in table.axis])
@@ -52,7 +51,7 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
 
 @pytest.mark.parametrize("drive", ["motor", "hand"])
 @pytest.mark.parametrize("standing", ["read", "held"])
-def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> None:
+def test_a_prediction_reads_what_the_recipe_reads(drive, standing):
     """Of an axis that is read once in each rest, in a plan whose first stretch is shorter than its cycle: an operator
     types no angle there, nor behind the last cycle. Of a table that is held, a rest is data without a reading."""
     turn = {"duration": "10 s", "shape": "hand"} if drive == "hand" else {"peak_rate": "90 deg/s", "duration": "5 s"}
@@ -91,9 +90,9 @@ def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> 
     assert (read[0], behind) == ((False, False) if drive == "hand" else (True, True))
 
 
-def chamber_hears(track: Track) -> list[tuple[float, float, float | None]]:
+def chamber_hears(track):
     """When on the track's own time, where to, and with which ramp (K/min)."""
-    told: list[tuple[float, float, float | None]] = []
+    told = []
     clock = 0.0
     for step in track.steps:
         for course in step.courses:
@@ -114,7 +113,7 @@ WITH_UNUSED_SEGMENTS = [
 
 
 @pytest.mark.parametrize("name", [*presets.names(), "programme"])
-def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str) -> None:
+def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name):
     if name == "programme":
         keys = {"plan.programme": WITH_UNUSED_SEGMENTS, "plan.temperature": None, "plan.gradient": None}
         spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | {"plan.soak": None})
@@ -130,11 +129,9 @@ def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str)
     assert heard == ([] if spec.rig.chamber.control == "none" else wanted)
 
 
-def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None:
+def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them():
     usual = track_of(unpredicted(parse_spec(presets.text("paper-dynamic-gradient"))), ["table"]).gyros
     poor = track_of(unpredicted(parse_spec(presets.text("consumer-mems"))), ["table"]).gyros
-    assert usual is not None
-    assert poor is not None
     assert (usual.share, usual.bias_dps) == (0.1, 1.0)
     # 3 % a coefficient of nine, and 2 deg/s a gyro.
     assert poor.share == pytest.approx(3.0 * 0.03 * 3.0)
@@ -150,7 +147,7 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
 ALLOWED_S = 15.0
 
 
-def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
+def aborted(folder, after_s, *, mute):
     """A whole run that is aborted at an instant of its clock, with one device silent from then on."""
     clock = VirtualClock()
     made = short_recipe(2.0)
@@ -158,8 +155,8 @@ def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
         run = new_folder(folder, made, lab.rig, simulated={})
         begin = Runner.run
 
-        def attended(runner: Runner) -> RunResult:
-            def abort() -> None:
+        def attended(runner):
+            def abort():
                 clock.sleep_until(after_s)
                 if mute is not None:
                     lab.ports[mute].faults = Faults(mute=True)
@@ -176,7 +173,7 @@ def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
     return result
 
 
-def check_aborts(folder: Path, count: int, seed: int) -> float:
+def check_aborts(folder, count, seed):
     """Random instants; a chamber, a table, then no device never answers again, in turn."""
     random = np.random.default_rng(seed)
     longest = 0.0
@@ -184,19 +181,19 @@ def check_aborts(folder: Path, count: int, seed: int) -> float:
         mute = (0, 1, None)[number % 3]
         result = aborted(folder / f"abort{number}", float(random.uniform(2.0, 110.0)), mute=mute)
         assert result.exit_status == "aborted"
-        names = {None: set[str](), 0: {"chamber"}, 1: {"x"}}[mute]
+        names = {None: set(), 0: {"chamber"}, 1: {"x"}}[mute]
         assert {outcome.name for outcome in result.outcomes if not outcome.verified} <= names
         longest = max(longest, *(o.took_s for o in result.outcomes if o.name not in names))
     return longest
 
 
 @pytest.mark.long
-def test_whole_runs_aborted_at_random_end_safe(tmp_path: Path) -> None:
+def test_whole_runs_aborted_at_random_end_safe(tmp_path):
     assert check_aborts(tmp_path, 2, seed=1) < ALLOWED_S
 
 
 @pytest.mark.evidence
-def test_fifty_aborts_end_safe_also_with_a_device_that_never_answers(tmp_path: Path) -> None:
+def test_fifty_aborts_end_safe_also_with_a_device_that_never_answers(tmp_path):
     longest = check_aborts(tmp_path, 50, seed=2)
     assert longest < ALLOWED_S
     record(

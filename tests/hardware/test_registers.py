@@ -2,7 +2,6 @@
 
 import re
 import struct
-from typing import Any
 
 import pytest
 from hardware_bench import served
@@ -15,7 +14,7 @@ from gradcal_jax.hardware.errors import FramingError, LimitExceeded, NotVerified
 from gradcal_jax.hardware.register_protocol import REGISTERS, RegisterProtocol
 from gradcal_jax.tables.problems import SpecError
 
-OVEN: dict[str, Any] = {
+OVEN = {
     "format": REGISTERS,
     "role": "chamber",
     "title": "oven",
@@ -37,32 +36,32 @@ class Slave(ModbusSlave):
 
     read_only = frozenset({1})
 
-    def __init__(self, words: dict[int, int] | None = None) -> None:
+    def __init__(self, words=None):
         super().__init__({1: 235, 2: 230, 9: 1, 23: 0} | (words or {}))
-        self.stuck: set[int] = set()
-        self.asked: set[tuple[int, int]] = set()
+        self.stuck = set()
+        self.asked = set()
 
-    def _answer(self, body: bytes) -> bytes:
+    def _answer(self, body):
         self.asked.add((body[0], int.from_bytes(body[1:3], "big")))
         return super()._answer(body)
 
-    def write(self, register: int, values: tuple[int, ...]) -> int:
+    def write(self, register, values):
         return 0 if register in self.stuck else super().write(register, values)
 
 
-def changed(**tables: Any) -> dict[str, Any]:
+def changed(**tables):
     return OVEN | {name: {**OVEN.get(name, {}), **table} for name, table in tables.items()}
 
 
 @pytest.mark.parametrize("name", shipped(REGISTERS))
-def test_what_is_shipped_is_whole(name: str) -> None:
+def test_what_is_shipped_is_whole(name):
     config = RegistersConfig(protocol=name)
     assert config.line_settings["baudrate"] == 9600
     assert bool(config.lacks_for("standby")) is (name == "eurotherm-3500")
     assert config.lacks_for("hold") == ""
 
 
-def test_a_chamber_from_its_description_alone() -> None:
+def test_a_chamber_from_its_description_alone():
     clock, device, config = VirtualClock(), Slave(), RegistersConfig(protocol=OVEN, reply_timeout="0.2 s")
     with served(device, clock, 9600) as (_, transport):
         chamber = config.device(config.link(transport, clock), clock)
@@ -88,7 +87,7 @@ def test_a_chamber_from_its_description_alone() -> None:
 
 @pytest.mark.parametrize("low_first", [False, True])
 @pytest.mark.parametrize("kind", ["float32", "int32"])
-def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
+def test_numbers_of_two_registers_in_either_order(kind, low_first):
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
     # Of a chamber that its set point alone commands: neither on nor off.
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
@@ -124,6 +123,6 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
         (OVEN | {"tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}}}, "tell.off: this key is missing"),
     ],
 )
-def test_a_description_that_cannot_be_right_is_refused(tables: dict[str, Any], words: str) -> None:
+def test_a_description_that_cannot_be_right_is_refused(tables, words):
     with pytest.raises(SpecError, match=re.escape(words)):
         described(RegisterProtocol, tables)

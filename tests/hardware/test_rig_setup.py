@@ -7,7 +7,7 @@ from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.tables.problems import SpecError
 
 
-def test_everything_wrong_with_a_rig_is_said_at_once() -> None:
+def test_everything_wrong_with_a_rig_is_said_at_once():
     text = """
 format = "gradcal-rig/1"
 [chamber]
@@ -62,13 +62,13 @@ protocol = "stim301"
         (('safe    = "standby"', 'saff    = "standby"'), 'nearest: "safe"'),
     ],
 )
-def test_a_wrong_rig_is_refused_with_its_key(change: tuple[str, str], expected: str) -> None:
+def test_a_wrong_rig_is_refused_with_its_key(change, expected):
     assert change[0] in TEMPLATE
     with pytest.raises(SpecError, match=expected.replace("[", r"\[")):
         parse_rig(TEMPLATE.replace(*change))
 
 
-def test_a_gravity_loaded_axis_is_never_unpowered() -> None:
+def test_a_gravity_loaded_axis_is_never_unpowered():
     text = TEMPLATE.replace('safe           = "hold" ', 'safe           = "unpower" ')
     parse_rig(text)
     with pytest.raises(SpecError, match="gravity turns this axis if its motor has no power"):

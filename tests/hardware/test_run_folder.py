@@ -1,7 +1,6 @@
 """The folder of a run: made only for what can run, and what it began as: rig and recipe are remembered."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,17 +13,17 @@ from gradcal_jax.hardware.roles import Identity
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, new_folder, prepare_resume
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis
 from gradcal_jax.records.run_log import log
-from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.tables.writing import write_toml
 
 
-def rig_of(*axes: str) -> RigFile:
+def rig_of(*axes):
     rig = parse_rig(TEMPLATE)
     (table,) = rig.axis
     return rig.model_copy(update={"axis": tuple(table.model_copy(update={"name": name}) for name in axes)})
 
 
-def test_a_rig_without_the_axis_leaves_no_folder_behind(tmp_path: Path) -> None:
+def test_a_rig_without_the_axis_leaves_no_folder_behind(tmp_path):
     made = short_recipe()
     for _ in range(2):
         with pytest.raises(HardwareError, match="The recipe turns axis x, and the rig's axes are inner, outer"):
@@ -33,11 +32,11 @@ def test_a_rig_without_the_axis_leaves_no_folder_behind(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ended(tmp_path_factory):
     """A simulated run that was aborted in its last step, with data."""
     folder = tmp_path_factory.mktemp("runs") / "run"
 
-    def stop(progress) -> None:
+    def stop(progress):
         if progress.steps_done == progress.steps - 1:
             raise HardwareError("enough")
 
@@ -47,7 +46,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_another_run_has_another_folder(ended: Path) -> None:
+def test_another_run_has_another_folder(ended):
     folder = RunFolder(ended)
     assert prepare_resume(folder) > 0
     with pytest.raises(RunFolderError, match=r"gradcal run --resume .* or name a new folder"):
@@ -62,7 +61,7 @@ def test_another_run_has_another_folder(ended: Path) -> None:
         ("recipe.toml", '"a test"', '"another"', "another recipe"),
     ],
 )
-def test_a_run_does_not_go_on_as_another(ended: Path, file: str, old: str, new: str, said: str) -> None:
+def test_a_run_does_not_go_on_as_another(ended, file, old, new, said):
     text = (ended / file).read_text()
     assert old in text
     try:
@@ -73,7 +72,7 @@ def test_a_run_does_not_go_on_as_another(ended: Path, file: str, old: str, new: 
         (ended / file).write_text(text)
 
 
-def test_a_run_does_not_go_on_with_another_device(ended: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_does_not_go_on_with_another_device(ended, monkeypatch):
     monkeypatch.setattr(SimulatedAxis, "identify", lambda self: Identity("simulated", "another axis"))
     commanded = list[str]()
     monkeypatch.setattr(SimulatedAxis, "safe", lambda self, how: commanded.append(how))
@@ -82,7 +81,7 @@ def test_a_run_does_not_go_on_with_another_device(ended: Path, monkeypatch: pyte
     assert not commanded
 
 
-def test_a_log_is_decoded_as_the_run_was_configured(ended: Path) -> None:
+def test_a_log_is_decoded_as_the_run_was_configured(ended):
     before, text = log(ended), (ended / "rig.toml").read_text()
     rig = RunFolder(ended).rig()
     rig.imu[0].options["sample_rate"] = "500 Hz"

@@ -5,8 +5,6 @@ import os
 import signal
 import socket
 import threading
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,18 +12,19 @@ from hardware_bench import (
     EARTH_RATE_DPS,
     Rig,
     acting,
+    chamber_alone,
     chunks_of,
     ends_aborted,
     events,
+    gradcal_run,
     in_step,
     perfect,
     running,
-    short_recipe,
     short_track,
+    struck,
 )
-from simulated_devices.faults import Faults, Spoils
+from simulated_devices.faults import Faults
 
-from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import Disconnected
@@ -34,12 +33,9 @@ from gradcal_jax.hardware.guard import make_safe
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, join
 from gradcal_jax.hardware.run_folder import identities_of
-from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 from gradcal_jax.records.clockmap import fit_arrivals, last_of_chunks
-from gradcal_jax.spec.rig import rig_of
-from gradcal_jax.tables.writing import write_toml
 
 TURN = AxisCommand(2.0, "table", "turn", 360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "turn", -360.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -49,19 +45,19 @@ MOVES = (TURN, BACK, SPIN, AxisCommand(26.0, "table", "stop"))
 TRACK = Track((SOAK, TrackStep("ramp", 35.0, courses=(Course(0.0, 26.0, 1.0),), moves=MOVES)))
 
 
-def states(folder: Path) -> list[str]:
+def states(folder):
     return [event.data["state"] for event in events(folder, "state")]
 
 
-def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:
+def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path):
     with running(tmp_path, TRACK, perfect(clock_error=80e-6, scale_factor=1e-3)) as (rig, runner):
-        shown: list[RunProgress] = []
+        shown = []
         runner.on_progress = shown.append
         result = runner.run()
         assert (result.exit_status, result.reason, result.steps_done) == ("success", "", 2)
         assert result.verified_safe
         assert rig.chamber.mode == "STANDBY"
-        assert rig.axis.state(runner.clock.now())[1] == 0.0
+        assert rig.rate_dps() == 0.0
         assert shown[-1].step == "ramp"
         decoder = runner.bench.imus["unit1"].decoder()
     contents = read_journal(tmp_path / "journal")
@@ -98,21 +94,17 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
 # ------------------------------------------------------------------------------------------------- what does not begin
 
 
-def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> None:
+def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path):
     wrong = AxisCommand(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
     fast = TrackStep("fast", 10.0, moves=(wrong,))
     with running(tmp_path, Track((TrackStep("hot", 10.0, courses=(Course(0.0, 190.0),)), fast))) as (rig, runner):
-        result = runner.run()
-        assert result.exit_status == "aborted"
-        for words in ("'hot' sets 190 degC", "turns at 1000 deg/s"):
-            assert words in result.reason
-        assert result.verified_safe
-        assert rig.axis.state(0.0)[1] == 0.0
+        ends_aborted(runner, "'hot' sets 190 degC", "turns at 1000 deg/s")
+        assert rig.rate_dps() == 0.0
         assert rig.chamber.commands.count("MODE,CONSTANT") == 0
     assert events(tmp_path, "move") == []
 
 
-def test_a_device_that_keeps_a_run_from_beginning_is_not_that_with_which_it_began(tmp_path: Path) -> None:
+def test_a_device_that_keeps_a_run_from_beginning_is_not_that_with_which_it_began(tmp_path):
     """The right one, when it is connected, resumes the run: what a journal names first is compared with."""
     with running(tmp_path, short_track()) as (rig, runner):
         object.__setattr__(rig.rig.axis[0], "serial_number", "SN 1")
@@ -120,7 +112,7 @@ def test_a_device_that_keeps_a_run_from_beginning_is_not_that_with_which_it_bega
     assert "table" not in identities_of(read_journal(tmp_path / "journal"))
 
 
-def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
+def test_limits_of_travel_and_ramps_are_part_of_the_dry_run():
     axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001)
     chamber = ChamberLimits(-40.0, 85.0, True, 0.1, 3.0)
     good = AxisCommand(0.0, "a", "turn", 170.0, 50.0, 50.0)
@@ -148,45 +140,37 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     ],
     ids=["alarm", "fault", "mute board", "unit", "silent unit", "chamber"],
 )
-def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
-    tmp_path: Path, harm: Any, words: str, unsafe: set[str]
-) -> None:
-    with running(tmp_path, TRACK, safe_deadline_s=5.0) as (rig, runner):
-        acting(runner, (in_step(1), lambda: harm(rig)), every_s=0.5)
-        result = runner.run()
-        assert result.exit_status == "aborted"
-        assert words in result.reason
-        assert {outcome.name for outcome in result.outcomes if not outcome.verified} == unsafe
-        # A device that never answers keeps nobody else waiting.
-        assert max(outcome.took_s for outcome in result.outcomes if outcome.verified) < 5.0
-        assert rig.axis.state(runner.clock.now())[1] == 0.0
+def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(tmp_path, harm, words, unsafe):
+    rig, result, _ = struck(tmp_path, TRACK, in_step(1), harm, every_s=0.5, safe_deadline_s=5.0)
+    assert result.exit_status == "aborted"
+    assert words in result.reason
+    assert {outcome.name for outcome in result.outcomes if not outcome.verified} == unsafe
+    # A device that never answers keeps nobody else waiting.
+    assert max(outcome.took_s for outcome in result.outcomes if outcome.verified) < 5.0
+    assert rig.rate_dps() == 0.0
     assert read_journal(tmp_path / "journal").events[-1].name == "end"
 
 
-def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
+def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path):
     track = Track((TrackStep("soak", 10.0, 120.0, Stable(0.2, 60.0, 300.0)),))
     with running(tmp_path, track, with_unit=False) as (_, runner):
         ends_aborted(runner, "not stable within 0.2 K of 120 degC after 300 s")
 
 
 @pytest.mark.parametrize(("sent", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
-def test_signals_end_a_run_safely(tmp_path: Path, sent: signal.Signals, reason: str) -> None:
+def test_signals_end_a_run_safely(tmp_path, sent, reason):
     with running(tmp_path, TRACK) as (_, runner), signals_to(runner):
-        acting(runner, (in_step(0), lambda: os.kill(os.getpid(), sent)), every_s=5.0)
-        result = runner.run()
-        assert (result.exit_status, result.reason, result.verified_safe) == ("aborted", reason, True)
+        acting(runner, in_step(0), lambda: os.kill(os.getpid(), sent), every_s=5.0)
+        assert ends_aborted(runner).reason == reason
     assert states(tmp_path) == ["running", "aborting", "safe"]
     assert read_journal(tmp_path / "journal").events[-1].data["verified_safe"] is True
 
 
 @pytest.mark.parametrize(("begins", "ends"), [("Alarm", "success"), ("Idle", "aborted")])
-def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(
-    tmp_path: Path, begins: str, ends: str
-) -> None:
-    with running(tmp_path, Track((TrackStep("stand", 60.0),))) as (rig, runner):
-        rig.table._state = begins
-        acting(runner, (in_step(0), lambda: setattr(rig.table, "_state", "Alarm")))
-        result = runner.run()
+def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(tmp_path, begins, ends):
+    turns = lambda state: lambda rig: setattr(rig.table, "_state", state)  # noqa: E731
+    stands = Track((TrackStep("stand", 60.0),))
+    rig, result, _ = struck(tmp_path, stands, in_step(0), turns("Alarm"), ready=turns(begins))
     assert result.exit_status == ends, result.reason
     assert ("Interlock 'axis fault': axis table: Alarm" in result.reason) == (ends == "aborted")
     assert "$H" not in rig.table.lines
@@ -195,7 +179,7 @@ def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(
 # ------------------------------------------------------------------------------------------------------------- chamber
 
 
-def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> None:
+def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path):
     warm = TrackStep("warmer", 5.0, courses=(Course(0.0, 30.0),))
     soak = TrackStep("soak", 5.0, 25.0, Stable(0.5, 5.0, 3600.0))
     with running(tmp_path, Track((soak, warm))) as (rig, runner):
@@ -206,77 +190,67 @@ def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> Non
     assert told[1].time_s - begins[1].data["begins_s"] < 10.0
 
 
-def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> None:
+def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path):
     """The end comes while the chamber is being told its ramp, which takes it seconds."""
     track = Track((TrackStep("ramp", 60.0, courses=(Course(0.0, 25.0), Course(10.0, 40.0, 1.0))),))
     with running(tmp_path, track) as (rig, runner):
         begun = lambda now: now.step_left_s is not None and now.step_left_s <= 49.8  # noqa: E731
-        acting(runner, (begun, lambda: runner.abort("now")), every_s=0.1)
-        assert runner.run().verified_safe
-        runner.clock.sleep(30.0)
+        acting(runner, begun, lambda: runner.abort("now"), every_s=0.1)
+        ends_aborted(runner)
+        rig.clock.sleep(30.0)
         assert rig.chamber.mode == "STANDBY"
 
 
 # -------------------------------------------------------------------------------------------------- what a check says
 
 
-def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same() -> None:
+def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same():
     """A socket that accepts and says nothing, in the place of a chamber whose limits stand in its description."""
     with socket.create_server(("127.0.0.1", 0)) as mute:
-        options = {"protocol": "cts", "reply_timeout": "0.1 s"}
         url = f"socket://127.0.0.1:{mute.getsockname()[1]}"
-        chamber = {"driver": "lines", "port": url, "safe": "standby", "options": options}
-        (report,) = check_each(rig_of({"format": "gradcal-rig/1", "chamber": chamber}), RealClock())
+        (report,) = check_each(chamber_alone("cts", port=url, options={"reply_timeout": "0.1 s"}), RealClock())
     assert "did not answer" in report.problem
 
 
 # ---------------------------------------------------------------------------------------------------------- messages
 
 
-def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_that_never_began_is_not_called_sound(tmp_path, capsys):
     with Rig(RealClock()) as rig:
-        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["axis"][0]["serial_number"] = "another one"
-        write_toml(rig_of(tables), tmp_path / "rig.toml")
-        write_toml(short_recipe(), tmp_path / "recipe.toml")
-        words = ["run", str(tmp_path / "recipe.toml"), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "r")]
-        assert main([*words, "--yes"]) == 3
+        another = rig.rig.axis[0].model_copy(update={"serial_number": "another one"})
+        rig_file = rig.rig.model_copy(update={"axis": (another,)})
+        assert gradcal_run(tmp_path, rig_file, "-o", str(tmp_path / "run"), "--yes") == 3
     said = capsys.readouterr().err
     assert "the run did not begin, and no command was sent: table at" in said
     assert "sound" not in said
 
 
-def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
-    clock = RealClock()
-    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
-        bench.axes["table"].home()
-        bench.axes["table"].spin(60.0, 300.0)
+def test_a_cable_that_is_in_again_is_used_to_make_safe():
+    with Rig(RealClock()) as rig, open_rig(rig.rig, rig.clock) as bench:
+        table = bench.axes["table"]
+        table.home()
+        table.spin(60.0, 300.0)
         rig.ports[1].unplug()
         with pytest.raises(Disconnected):
-            bench.axes["table"].read()
+            table.read()
         again = threading.Timer(1.0, rig.ports[1].replug)
         again.start()
-        outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=8.0)}
+        outcomes = {outcome.name: outcome for outcome in make_safe(bench, rig.clock, deadline_s=8.0)}
         again.join()
         assert outcomes["table"].verified, outcomes["table"].evidence
-        assert rig.axis.state(clock.now())[1] == 0.0
+        assert rig.rate_dps() == 0.0
 
 
-# ------------------------------------------------------------------------------------------------------ late answers
+def test_late_replies_are_said(tmp_path):
+    seen = []
 
+    def says(progress, rig):
+        seen.extend(progress.remarks)
+        return bool(seen)
 
-def late(delay_s: float, begins: bytes = b"") -> Spoils:
-    """Messages that begin so come so many seconds after they were sent."""
-    return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
+    def late(rig):
+        rig.ports[0].faults = lambda message: [(3.4, message)]
 
-
-def test_late_replies_are_said(tmp_path: Path) -> None:
-    seen: list[str] = []
-    with running(tmp_path, short_track()) as (rig, runner):
-        rig.ports[0].faults = late(3.4)
-        acting(runner, (lambda progress: bool(progress.remarks), lambda: runner.abort("enough")))
-        look = runner.on_progress
-        runner.on_progress = lambda progress: (seen.extend(progress.remarks), look(progress))
-        runner.run()
+    struck(tmp_path, short_track(), says, lambda rig: None, ready=late)
     assert "ESPEC at" in seen[0]
     assert "late: raise reply_timeout" in seen[0]

@@ -2,7 +2,6 @@
 
 import itertools
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +12,13 @@ from simulated_devices.wire import Wire
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.description import described
-from gradcal_jax.hardware.roles import ImuDecoder, join
+from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.setup import check_each
 from gradcal_jax.hardware.text_unit import TextSensor
-from gradcal_jax.spec.rig import RigFile, rig_of
+from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 
-BOARD: dict[str, Any] = {
+BOARD = {
     "format": "gradcal-text/1",
     "title": "the board",
     "line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{acceleration_x},{acceleration_y},{acceleration_z},{temperature},{time}",
@@ -32,11 +31,11 @@ COUNTED = {"format": "gradcal-text/1", "line": "{gyro_z} {count}", "rate": "100 
 PLAIN = {"format": "gradcal-text/1", "line": "{:text};{gyro_z}", "rate": "100 Hz", "gyro": "rad/s"}
 
 
-def decoder(protocol: dict[str, Any]) -> ImuDecoder:
+def decoder(protocol):
     return described(TextSensor, protocol).decoder()
 
 
-def printed(number: int, gyro: float = 1.5) -> bytes:
+def printed(number, gyro=1.5):
     body = f"IMU,{gyro:.3f},-0.25,3,0,0,9.80665,25.5,{10_000 * number % 2**32}".encode()
     return b"$" + body + b"*%02X\r\n" % xor8(body)
 
@@ -44,7 +43,7 @@ def printed(number: int, gyro: float = 1.5) -> bytes:
 # ------------------------------------------------------------------------------------------------------------ lines
 
 
-def test_numbers_come_out_in_the_units_of_this_program() -> None:
+def test_numbers_come_out_in_the_units_of_this_program():
     batch = decoder(BOARD).push(b"ready\r\n" + printed(7) + printed(8), 0.0)
     assert batch.gyro_dps[1].tolist() == [1.5, -0.25, 3.0]
     assert batch.acceleration_g[1] == pytest.approx([0.0, 0.0, 1.0])
@@ -55,7 +54,7 @@ def test_numbers_come_out_in_the_units_of_this_program() -> None:
     assert np.isnan(rad.gyro_dps[0, :2]).all()
 
 
-def test_lost_and_doubled_lines_are_counted_by_time_and_by_counter() -> None:
+def test_lost_and_doubled_lines_are_counted_by_time_and_by_counter():
     kept = [k for k in range(1000) if k not in (400, 401, 402)]
     timed = decoder(BOARD).push(b"".join(2 * printed(k) for k in kept), 0.0)
     assert (len(timed), timed.gap_before.sum(), timed.gap_before[400]) == (997, 3, 3)
@@ -65,7 +64,7 @@ def test_lost_and_doubled_lines_are_counted_by_time_and_by_counter() -> None:
     assert counted.round_samples == 256
 
 
-def test_a_time_that_wraps_goes_on_and_one_that_goes_back_is_a_restart() -> None:
+def test_a_time_that_wraps_goes_on_and_one_that_goes_back_is_a_restart():
     wraps = 2**32 // 10_000
     unit = decoder(BOARD)
     times = unit.push(b"".join(printed(k) for k in range(wraps - 3, wraps + 4)), 0.0)
@@ -76,7 +75,7 @@ def test_a_time_that_wraps_goes_on_and_one_that_goes_back_is_a_restart() -> None
     assert again.gap_before.tolist() == [0, 0]
 
 
-def test_no_bit_of_a_line_may_be_wrong_where_it_has_a_check_sum() -> None:
+def test_no_bit_of_a_line_may_be_wrong_where_it_has_a_check_sum():
     line = printed(7)
     for place, bit in itertools.product(range(len(line) - 2), range(8)):
         bad = line[:place] + bytes([line[place] ^ 1 << bit]) + line[place + 1 :]
@@ -84,7 +83,7 @@ def test_no_bit_of_a_line_may_be_wrong_where_it_has_a_check_sum() -> None:
         assert len(decoder(BOARD).push(bad, 0.0)) == 0 or bad.upper() == line.upper()
 
 
-def test_a_line_without_an_end_is_noise() -> None:
+def test_a_line_without_an_end_is_noise():
     unit = decoder(COUNTED)
     for _ in range(100):
         assert len(unit.push(b"0.5 1 " * 1000, 0.0)) == 0
@@ -106,7 +105,7 @@ def test_a_line_without_an_end_is_noise() -> None:
         ({"lines": "x"}, 'nearest: "line"'),
     ],
 )
-def test_a_description_that_cannot_be_right_is_refused(change: dict[str, Any], words: str) -> None:
+def test_a_description_that_cannot_be_right_is_refused(change, words):
     with pytest.raises(SpecError, match=re.escape(words)):
         described(TextSensor, BOARD | change)
 
@@ -114,18 +113,18 @@ def test_a_description_that_cannot_be_right_is_refused(change: dict[str, Any], w
 # -------------------------------------------------------------------------------------------------------- on a rig
 
 
-def with_board(rig: RigFile, url: str, **change: Any) -> RigFile:
+def with_board(rig, url, **change):
     tables = rig.model_dump(mode="json", exclude_unset=True)
     tables["imu"] = [{"name": "unit1", "driver": "text_unit", "port": url, "options": {"protocol": BOARD | change}}]
     return rig_of(tables)
 
 
-def board(rig: Rig, clock: Any, **options: Any) -> Wire:
+def board(rig, clock, **options):
     sensor = sensor_on_table(clock, sample_rate_hz=100.0, axis=rig.axis, chamber=rig.chamber.plant)
     return Wire(SimulatedTextUnit(sensor, clock, **options), clock)
 
 
-def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_what_it_prints_is_shown() -> None:
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_what_it_prints_is_shown():
     clock = RealClock()
     with Rig(clock) as rig, board(rig, clock, boot_s=3.0) as port:
         for change, said in (

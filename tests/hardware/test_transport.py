@@ -8,7 +8,6 @@ import sys
 import tempfile
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from simulated_devices.port import SimulatedPort
@@ -19,11 +18,11 @@ from gradcal_jax.hardware.transport import PortLock, Transport
 
 
 class Echo:
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         return [data]
 
 
-def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock() -> None:
+def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock():
     hold = (
         "import sys, time; from gradcal_jax.hardware.transport import Transport; "
         "from gradcal_jax.hardware.clock import RealClock; Transport(sys.argv[1], clock=RealClock()); "
@@ -31,7 +30,6 @@ def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock() -> None:
     )
     with SimulatedPort(Echo(), RealClock()) as port:
         with subprocess.Popen([sys.executable, "-c", hold, port.url], stdout=subprocess.PIPE) as owner:
-            assert owner.stdout is not None
             assert owner.stdout.readline() == b"open\n"
             with pytest.raises(PortRefused, match=f"process {owner.pid}"):
                 Transport(port.url, clock=RealClock())
@@ -40,13 +38,13 @@ def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock() -> None:
         Transport(port.url, clock=RealClock()).close()
 
 
-def only_lock(folder: Path) -> Path:
+def only_lock(folder):
     (lock,) = folder.glob("gradcal-port-*.lock")
     return lock
 
 
 @pytest.mark.skipif(os.name != "posix", reason="accounts and their rights are those of POSIX")
-def test_locks_are_shared_by_the_accounts_of_a_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_locks_are_shared_by_the_accounts_of_a_computer(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     before = os.umask(0o077)
     try:
@@ -55,7 +53,7 @@ def test_locks_are_shared_by_the_accounts_of_a_computer(tmp_path: Path, monkeypa
         os.umask(before)
     assert stat.S_IMODE(only_lock(tmp_path).stat().st_mode) == 0o666
 
-    def not_mine(handle: int, mode: int) -> None:
+    def not_mine(handle, mode):
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
     # Another account cannot change what it does not own, and needs not.
@@ -64,9 +62,7 @@ def test_locks_are_shared_by_the_accounts_of_a_computer(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("in_the_way", ["a folder", "a link"])
-def test_a_lock_that_cannot_be_had_is_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_the_way: str
-) -> None:
+def test_a_lock_that_cannot_be_had_is_a_sentence(tmp_path, monkeypatch, in_the_way):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     PortLock("/dev/some-port").release()
     lock, precious = only_lock(tmp_path), tmp_path / "precious"
@@ -80,11 +76,11 @@ def test_a_lock_that_cannot_be_had_is_a_sentence(
     assert stat.S_IMODE(precious.stat().st_mode) == 0o600
 
 
-def test_a_full_disk_keeps_nobody_from_a_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_keeps_nobody_from_a_port(tmp_path, monkeypatch):
     """Least of all the guard of a run that ended because its disk was full."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
-    def full(handle: int, data: bytes) -> int:
+    def full(handle, data):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
@@ -95,17 +91,17 @@ def test_a_full_disk_keeps_nobody_from_a_port(tmp_path: Path, monkeypatch: pytes
     lock.release()
 
 
-def test_missing_port_is_refused_in_a_sentence() -> None:
+def test_missing_port_is_refused_in_a_sentence():
     with pytest.raises(PortRefused, match="cannot be opened"):
         Transport("/dev/no-such-port", clock=RealClock())
 
 
 @pytest.mark.parametrize("on_socket", [False, True])
-def test_bytes_go_round_and_are_recorded(on_socket: bool) -> None:
+def test_bytes_go_round_and_are_recorded(on_socket):
     message = bytes(range(256))
-    entries: list[tuple[str, bytes]] = []
+    entries = []
 
-    def record(_: float, direction: str, data: bytes) -> None:
+    def record(_, direction, data):
         entries.append((direction, data))
 
     with (
@@ -124,7 +120,7 @@ def test_bytes_go_round_and_are_recorded(on_socket: bool) -> None:
     assert b"".join(data for _, data in entries[1:]) == message
 
 
-def test_unplugged_line_raises_disconnected_everywhere() -> None:
+def test_unplugged_line_raises_disconnected_everywhere():
     with SimulatedPort(Echo(), RealClock()) as port:
         line = Transport(port.url, clock=RealClock())
         threading.Timer(0.1, port.unplug).start()

@@ -4,8 +4,6 @@ import json
 import re
 import struct
 import zlib
-from pathlib import Path
-from typing import Any
 
 import pytest
 from hardware_bench import parse_journal
@@ -17,7 +15,7 @@ from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.tables.problems import SpecError
 
 
-def rig_at(port: str) -> str:
+def rig_at(port):
     return TEMPLATE.replace('"/dev/ttyUSB1"', json.dumps(port))
 
 
@@ -31,7 +29,7 @@ def rig_at(port: str) -> str:
         "rfc2217://chamber.lab:2217?ign_set_control&timeout=3",
     ],
 )
-def test_ports_that_a_rig_file_may_name(port: str) -> None:
+def test_ports_that_a_rig_file_may_name(port):
     assert parse_rig(rig_at(port)).axis[0].port == port
 
 
@@ -47,7 +45,7 @@ def test_ports_that_a_rig_file_may_name(port: str) -> None:
         "/dev/tty\nUSB",
     ],
 )
-def test_ports_that_it_may_not(port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ports_that_it_may_not(port, tmp_path, capsys):
     with pytest.raises(SpecError, match="expected a device path"):
         parse_rig(rig_at(port))
     (tmp_path / "rig.toml").write_text(rig_at(port))
@@ -55,13 +53,13 @@ def test_ports_that_it_may_not(port: str, tmp_path: Path, capsys: pytest.Capture
     assert "expected a device path" in capsys.readouterr().err
 
 
-def record(payload: bytes, kind: int = 1, time_s: float = 1.0) -> bytes:
+def record(payload, kind=1, time_s=1.0):
     """A record whose checksum fits."""
     body = struct.pack("<BBId", kind, 0, len(payload), time_s) + payload
     return b"\xa7\x4a" + body + zlib.crc32(body).to_bytes(4, "little")
 
 
-GOOD: dict[str, Any] = {"event": "session", "number": 0, "wall_clock_s": 1.0, "simulated": False}
+GOOD = {"event": "session", "number": 0, "wall_clock_s": 1.0, "simulated": False}
 
 
 @pytest.mark.parametrize(
@@ -79,7 +77,7 @@ GOOD: dict[str, Any] = {"event": "session", "number": 0, "wall_clock_s": 1.0, "s
         json.dumps({"event": "configuration", "device": "unit1", "registers": []}).encode(),
     ],
 )
-def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
+def test_a_crafted_journal_is_a_sentence(payload):
     with pytest.raises(HardwareError, match="no run of this program wrote, at byte") as caught:
         parse_journal(record(json.dumps(GOOD).encode()) + record(payload))
     assert str(caught.value).endswith("Copy the original journal of the run again.")
@@ -92,15 +90,15 @@ def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
 # ------------------------------------------------------------------- sizes, links, and texts that steer a terminal
 
 
-def watched(folder: Path, status: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+def watched(folder, status, capsys):
     (folder / "status.json").write_text(json.dumps(status) if not isinstance(status, str) else status)
     result = main(["rig", "watch", str(folder)])
     told = capsys.readouterr()
     return result, told.out + told.err
 
 
-def test_a_crafted_status_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    good: dict[str, Any] = {
+def test_a_crafted_status_is_a_sentence(tmp_path, capsys):
+    good = {
         "format": "gradcal-status/1", "simulated": True, "state": "safe", "steps": 2, "steps_done": 1, "step": "soak",
         "axes": {}, "samples": {}, "track_left_s": 1.0, "at_s": 1.0, "exit_status": "success", "reason": "",
         "verified_safe": True,
@@ -116,7 +114,7 @@ def test_a_crafted_status_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFi
     assert "\x1b" not in text
 
 
-def test_a_title_with_control_characters_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_title_with_control_characters_is_refused(tmp_path, capsys):
     titled = re.sub("(?m)^title .*", r'title = "\\u001b[2J"', TEMPLATE)
     (tmp_path / "rig.toml").write_text(titled)
     assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2

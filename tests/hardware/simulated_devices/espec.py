@@ -5,81 +5,62 @@ its `OK`.
 """
 
 import re
-from dataclasses import dataclass
-
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.plants import ChamberPlant
-
-
-@dataclass
-class EspecOptions:
-    address: int | None = None
-    old: bool = False
-    """Without MODE?,DETAIL; with whole degrees, and blanks after commas."""
-    high_c: float = 140.0
-    low_c: float = -50.0
 
 
 class SimulatedEspec:
-    def __init__(self, plant: ChamberPlant, clock: Clock, options: EspecOptions | None = None) -> None:
-        self.plant, self.options, self._clock = plant, options or EspecOptions(), clock
+    def __init__(self, plant, clock, *, high_c=140.0, low_c=-50.0):
+        self.plant, self.high_c, self.low_c, self._clock = plant, high_c, low_c, clock
         self._buffer, self.mode = b"", "STANDBY"
         self.constant_c = plant.truth.ambient_c
-        self.alarms: list[int] = []
-        self.commands: list[str] = []
+        self.alarms = []
+        self.commands = []
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         *lines, self._buffer = (self._buffer + data).split(b"\r\n")
         replies = [reply for reply in map(self._line, lines) if reply]
         return [reply.encode("ascii") + b"\r\n" for reply in replies]
 
-    def raise_alarm(self, code: int) -> None:
+    def raise_alarm(self, code):
         """Raise an alarm: the chamber stops conditioning and shows the code."""
         self.alarms.append(code)
         self._enter("OFF")
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Power cut and back: off."""
         self._buffer = b""
         self._enter("OFF")
 
-    def run_program(self, end_c: float) -> None:
+    def run_program(self, end_c):
         """Somebody starts a program at the panel."""
         self.mode = "RUN"
         self.plant.command(self._clock.now(), target_c=end_c, gradient_k_per_min=0.5)
         self.plant.switch(self._clock.now(), True)
 
-    def _line(self, line: bytes) -> str:
-        text, options = line.decode("latin-1").strip(), self.options
-        if options.address is not None:
-            prefix, comma, text = text.partition(",")
-            if not comma or prefix.strip() != str(options.address):
-                return ""
+    def _line(self, line):
+        text = line.decode("latin-1").strip()
         self.commands.append(text)
         if "?" in text:
-            reply = self._answer(text)
-            return reply.replace(",", ", ") if options.old else reply
+            return self._answer(text)
         refusal = self._command(text)
         return f"NA:{refusal}" if refusal else f"OK:{text}"
 
-    def _answer(self, text: str) -> str:
-        now, places = self._clock.now(), 0 if self.options.old else 1
+    def _answer(self, text):
+        now = self._clock.now()
         set_point = self.plant.set_point_c(now) if self.mode == "RUN" else self.constant_c
-        temperatures = (self.plant.air_c(now), set_point, self.options.high_c, self.options.low_c)
+        temperatures = (self.plant.air_c(now), set_point, self.high_c, self.low_c)
         answers = {
             "ROM?": "P3S1.10",
             "TYPE?": "T,P300,140.0",
-            "MODE?": self.mode,
-            "MODE?,DETAIL": "NA:PARA ERR" if self.options.old else self.mode,
-            "TEMP?": ",".join(f"{value:.{places}f}" for value in temperatures),
+            "MODE?,DETAIL": self.mode,
+            "TEMP?": ",".join(f"{value:.1f}" for value in temperatures),
             "ALARM?": ",".join(map(str, [len(self.alarms), *self.alarms])),
         }
         return answers.get(text, "NA:CMD ERR")
 
-    def _command(self, text: str) -> str:
+    def _command(self, text):
         """Execute a command and return an empty text; or return a refusal and change nothing."""
         if (match := re.fullmatch(r"TEMP, S(-?\d+(?:\.\d+)?)", text)) is not None:
-            if not self.options.low_c <= float(match[1]) <= self.options.high_c:
+            if not self.low_c <= float(match[1]) <= self.high_c:
                 return "DATA OUT OF RANGE"
             self.constant_c = round(float(match[1]), 1)
             if self.mode == "CONSTANT":
@@ -90,7 +71,7 @@ class SimulatedEspec:
             return ""
         return "CMD ERR"
 
-    def _enter(self, mode: str) -> None:
+    def _enter(self, mode):
         now, self.mode = self._clock.now(), mode
         if mode == "CONSTANT":
             self.plant.command(now, target_c=self.constant_c)

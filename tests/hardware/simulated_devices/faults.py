@@ -6,15 +6,12 @@ device (alarm, reboot, a stalled axis) is a method of that device; `unplug` is o
 
 import threading
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 Fault = Literal["drop", "flip", "noise", "duplicate", "truncate", "delay", "split"]
-Spoils = Callable[[bytes], list[tuple[float, bytes]]]
-"""The bytes that arrive in place of a message, each with how much later (s) than it was sent."""
 
 
 @dataclass
@@ -35,17 +32,17 @@ class Faults:
     delay_s: float = 0.3
     mute: bool = False
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self._random = np.random.default_rng(self.seed)
-        self._next: deque[Fault] = deque()
+        self._next = deque()
         self._lock = threading.Lock()
 
-    def once(self, *faults: Fault) -> None:
+    def once(self, *faults):
         """The next messages suffer these faults, one each, in this order."""
         with self._lock:
             self._next.extend(faults)
 
-    def __call__(self, message: bytes) -> list[tuple[float, bytes]]:
+    def __call__(self, message):
         with self._lock:
             if self.mute or not message:
                 return []
@@ -56,7 +53,7 @@ class Faults:
             bit = int(self._random.integers(8))
             noise = self._random.bytes(int(self._random.integers(1, 20)))
         flipped = message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]
-        arrives: dict[Fault, list[tuple[float, bytes]]] = {
+        arrives = {
             "drop": [],
             "flip": [(0.0, flipped)],
             "noise": [(0.0, noise + message)],
@@ -67,7 +64,7 @@ class Faults:
         }
         return arrives[fault]
 
-    def _choose(self) -> Fault | None:
+    def _choose(self):
         if self._next:
             return self._next.popleft()
         if not self.probability:
@@ -80,5 +77,6 @@ class Faults:
         return None
 
 
-def arrivals(spoils: Spoils | None, message: bytes) -> list[tuple[float, bytes]]:
+def arrivals(spoils, message):
+    """The bytes that arrive in place of a message, each with how much later (s) than it was sent."""
     return [(0.0, message)] if spoils is None else spoils(message)

@@ -3,8 +3,6 @@
 import numpy as np
 
 from gradcal_jax.hardware.checksums import CrcOfRows
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.imu import SampledSensor
 from gradcal_jax.hardware.simulate.lab import datagrams
 
 
@@ -14,24 +12,24 @@ class SimulatedFrames:
 
     _CRC = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
 
-    def __init__(self, sensor: SampledSensor, clock: Clock, *, rate_hz: float = 125.0, burst_s: float = 0.016) -> None:
+    def __init__(self, sensor, clock, *, rate_hz=125.0, burst_s=0.016):
         self.sensor, self.rate_hz, self.burst_s = sensor, rate_hz, burst_s
         self._clock = clock
         self.reboot()
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Power on: the counter begins anew."""
         self._booted_s = self._clock.now()
         self.sensor.restart(self._clock.now(), self.rate_hz)
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         return []
 
-    def next_emission_s(self) -> float | None:
+    def next_emission_s(self):
         ahead = max(1, round(self.burst_s / self.sensor.true_period_s))
         return self.sensor.next_time_s(ahead)
 
-    def emit(self, now_s: float) -> list[bytes]:
+    def emit(self, now_s):
         count = self.sensor.due(now_s)
         if not count:
             return []

@@ -6,9 +6,6 @@ Written from the protocol's public description (see the head of `spec/presets/de
 import re
 from functools import reduce
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.plants import ChamberPlant
-
 
 class SimulatedCts:
     """Framed by STX, address, check and ETX; what fails its check is not answered. Rates of ramps outlive a stop; the
@@ -16,30 +13,30 @@ class SimulatedCts:
 
     _FREE = 999.9
 
-    def __init__(self, plant: ChamberPlant, clock: Clock, address: int = 129) -> None:
+    def __init__(self, plant, clock, address=129):
         self.plant, self._clock, self._address = plant, clock, address
         self._buffer, self.running = b"", False
         self.up = self.down = self._FREE
         self.target_c = plant.truth.ambient_c
         self.limits_c = (-40.0, 180.0)
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         *frames, self._buffer = (self._buffer + data).split(b"\x03")
         return [self._framed(reply) for reply in map(self._line, frames) if reply]
 
-    def reboot(self) -> None:
+    def reboot(self):
         self._buffer = b""
         self._run(False)
 
-    def _run(self, on: bool) -> None:
+    def _run(self, on):
         self.running = on
         self.plant.switch(self._clock.now(), on)
 
-    def _framed(self, text: str) -> bytes:
+    def _framed(self, text):
         body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
         return b"\x02" + body + bytes([reduce(lambda a, b: a ^ b, body) | 0x80, 3])
 
-    def _line(self, line: bytes) -> str:
+    def _line(self, line):
         begins = line.rfind(b"\x02")
         body = line[begins + 1 :]
         sound = begins >= 0 and len(body) > 2 and body[0] == self._address and all(byte & 0x80 for byte in body)
@@ -47,7 +44,7 @@ class SimulatedCts:
             return ""
         return self._answer("".join(chr(byte & 0x7F) for byte in body[1:-1]))
 
-    def _answer(self, text: str) -> str:
+    def _answer(self, text):
         now = self._clock.now()
         if text == "A0":
             return f"A0 {self.plant.air_c(now):05.1f} {self.plant.set_point_c(now):05.1f}"
@@ -70,6 +67,6 @@ class SimulatedCts:
             return "s1"
         return ""
 
-    def _regulate(self, now: float) -> None:
+    def _regulate(self, now):
         rate = self.up if self.target_c >= self.plant.set_point_c(now) else self.down
         self.plant.command(now, target_c=self.target_c, gradient_k_per_min=rate if rate < self._FREE else None)

@@ -6,9 +6,6 @@ Written from public descriptions (see the heads of `spec/presets/devices`), not 
 import re
 from collections import deque
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.plants import AxisPlant
-
 _FRICTION_DPS2 = 20.0  # alone slows what has no power
 
 
@@ -17,27 +14,27 @@ class SimulatedGrbl:
     and questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; jogs queue;
     $ settings are taken only when idle."""
 
-    def __init__(self, plant: AxisPlant, clock: Clock) -> None:
+    def __init__(self, plant, clock):
         self.plant = plant
         self._clock = clock
         self._buffer = b""
         self.settings = {13: 0.0, 22: 1.0, 100: 250.0, 110: 21600.0, 120: 300.0, 130: 36000.0, 27: 1.0, 25: 3600.0}
         self._state = "Alarm"
         self._silent = False
-        self._homed_s: float | None = None
-        self._jogs: deque[tuple[float, float]] = deque()
+        self._homed_s = None
+        self._jogs = deque()
         self._zero_deg = 0.0
         self._incremental_deg = 0.0
         self.homing_s = 0.3
         self.finds_switch = True
-        self.lines: list[str] = []
+        self.lines = []
 
     # What it says by itself: the reply to $H.
 
-    def next_emission_s(self) -> float | None:
+    def next_emission_s(self):
         return self._homed_s
 
-    def emit(self, now_s: float) -> list[bytes]:
+    def emit(self, now_s):
         if self._homed_s is None or now_s < self._homed_s:
             return []
         self._homed_s = None
@@ -49,8 +46,8 @@ class SimulatedGrbl:
         self._state = "Idle"
         return [b"ok\r\n"]
 
-    def receive(self, data: bytes) -> list[bytes]:
-        replies: list[bytes] = []
+    def receive(self, data):
+        replies = []
         for byte in data:
             letter = bytes([byte])
             if letter == b"\x18":
@@ -67,7 +64,7 @@ class SimulatedGrbl:
                 self._buffer += letter
         return replies
 
-    def hard_limit(self) -> list[bytes]:
+    def hard_limit(self):
         """A switch at the end of travel: stands at once, its counts no longer true, and says no more."""
         now = self._clock.now()
         self.plant.set_zero(now, self.plant.state(now)[0])
@@ -75,7 +72,7 @@ class SimulatedGrbl:
         self._state, self._silent = "Alarm", True
         return [b"ALARM:1\r\n", b"[MSG:Reset to continue]\r\n"]
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Power cut: the motor stands, what was counted is forgotten."""
         now = self._clock.now()
         self.plant.set_zero(now, self.plant.state(now)[0])
@@ -84,7 +81,7 @@ class SimulatedGrbl:
 
     # -------------------------------------------------------------------------------------------------------- parts
 
-    def _reset(self) -> list[bytes]:
+    def _reset(self):
         now = self._clock.now()
         lost = self.plant.moving(now) or self._homed_s is not None
         if lost:
@@ -95,7 +92,7 @@ class SimulatedGrbl:
         banner = [b"\r\nGrbl 1.1h ['$' for help]\r\n"]
         return banner + ([b"[MSG:'$H'|'$X' to unlock]\r\n"] if self._state == "Alarm" else [])
 
-    def _now(self) -> float:
+    def _now(self):
         """Jogs that were queued begin where the one before ends."""
         now = self._clock.now()
         while self._jogs and self.plant.ends_s <= now:
@@ -104,24 +101,24 @@ class SimulatedGrbl:
             self._state = "Idle"
         return now
 
-    def _counted(self, now: float) -> float:
+    def _counted(self, now):
         step = 1.0 / self.settings[100]
         return round((self.plant.state(now)[0] - self._zero_deg) / step) * step
 
-    def _status(self) -> list[bytes]:
+    def _status(self):
         if self._homed_s is not None or self._silent:
             return []
         now = self._now()
         rate = abs(self.plant.state(now)[1]) * 60.0
         return [f"<{self._state}|MPos:{self._counted(now):.3f},0.000,0.000|FS:{rate:.0f},0>\r\n".encode()]
 
-    def _cancel_jog(self) -> None:
+    def _cancel_jog(self):
         now = self._now()
         if self._state == "Jog":
             self._jogs.clear()
             self.plant.spin(now, 0.0, self.settings[120])
 
-    def _line(self, text: str) -> list[bytes]:
+    def _line(self, text):
         if self._homed_s is not None or self._silent:
             return []
         self._now()
@@ -144,7 +141,7 @@ class SimulatedGrbl:
             return [self._jog_line(text[3:])]
         return [b"error:3\r\n" if text else b"ok\r\n"]
 
-    def _set(self, number: int, value: float) -> bytes:
+    def _set(self, number, value):
         if self._state not in ("Idle", "Alarm"):
             return b"error:8\r\n"
         if number not in self.settings:
@@ -152,7 +149,7 @@ class SimulatedGrbl:
         self.settings[number] = value
         return b"ok\r\n"
 
-    def _jog_line(self, block: str) -> bytes:
+    def _jog_line(self, block):
         if (words := re.fullmatch(r"(G90|G91) G21(?: G53)? X(-?\d+(?:\.\d+)?) F(\d+(?:\.\d+)?)", block)) is None:
             return b"error:2\r\n"
         if self._state not in ("Idle", "Jog"):
@@ -168,7 +165,7 @@ class SimulatedGrbl:
             self._jog(self._clock.now(), goal, rate)
         return b"ok\r\n"
 
-    def _jog(self, at_s: float, goal: float, rate_dps: float) -> None:
+    def _jog(self, at_s, goal, rate_dps):
         step = 1.0 / self.settings[100]
         self._incremental_deg = goal
         if abs(goal - self._counted(at_s)) >= step:
@@ -182,20 +179,20 @@ class SimulatedAerosmith:
 
     _WORD = re.compile(r"(PPO|MCO5|SRV\?|ACL\?|VEL\?|JOG\?|HOM|STO)|(SRV|ACL|VEL|JOG|P)(-?\d+(?:\.\d+)?)")
 
-    def __init__(self, plant: AxisPlant, clock: Clock) -> None:
+    def __init__(self, plant, clock):
         self.plant = plant
         self._clock = clock
         self._buffer = b""
         self.servo = False
         self.acceleration = self.velocity = 10.0
         self.jog = 0.0
-        self._homed_s: float | None = None
+        self._homed_s = None
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         *lines, self._buffer = (self._buffer + data).split(b"\r")
         return [self._line(line.decode("latin-1").strip()).encode("latin-1") + b"\r\n>" for line in lines]
 
-    def _line(self, text: str) -> str:
+    def _line(self, text):
         now = self._clock.now()
         if self._homed_s is not None and now >= self._homed_s:
             self._homed_s = None
@@ -216,7 +213,7 @@ class SimulatedAerosmith:
             return ""
         return f"{text} ?"
 
-    def _obeys(self, word: str, value: float, now: float, busy: bool) -> bool:
+    def _obeys(self, word, value, now, busy):
         if word == "SRV":
             if value not in (0.0, 1.0):
                 return False

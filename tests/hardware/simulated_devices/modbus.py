@@ -16,16 +16,16 @@ class ModbusSlave:
 
     read_only: frozenset[int] = frozenset()
 
-    def __init__(self, words: dict[int, int], *, address: int = 1, tcp: bool = False) -> None:
+    def __init__(self, words, *, address=1, tcp=False):
         self.words, self._address, self._tcp = words, address, tcp
         self._buffer, self._heard_s = b"", 0.0
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         if not self._tcp and time.monotonic() - self._heard_s > 0.05:
             self._buffer = b""
         self._heard_s = time.monotonic()
         self._buffer += data
-        replies: list[bytes] = []
+        replies = []
         while len(self._buffer) >= 8:
             reply = self._next_of_tcp() if self._tcp else self._next_of_rtu()
             if reply is None:
@@ -33,16 +33,16 @@ class ModbusSlave:
             replies += [reply] if reply else []
         return replies
 
-    def word(self, register: int) -> int | None:
+    def word(self, register):
         """What a register reads; None: there is none."""
         return self.words.get(register)
 
-    def write(self, register: int, values: tuple[int, ...]) -> int:
+    def write(self, register, values):
         """Take values; the code of a refusal, or 0."""
         self.words |= {register + place: value for place, value in enumerate(values)}
         return 0
 
-    def _next_of_rtu(self) -> bytes | None:
+    def _next_of_rtu(self):
         """The reply to the next frame, empty for none; None: the frame is not complete."""
         length = 9 + self._buffer[6] if self._buffer[1] == 16 else 8
         if len(self._buffer) < length:
@@ -57,7 +57,7 @@ class ModbusSlave:
         reply = frame[:1] + self._answer(frame[1:-2])
         return reply + crc16_modbus(reply)
 
-    def _next_of_tcp(self) -> bytes | None:
+    def _next_of_tcp(self):
         number, protocol, length, unit = struct.unpack(">HHHB", self._buffer[:7])
         if protocol != 0 or not 2 <= length <= 254:
             self._buffer = self._buffer[1:]
@@ -70,7 +70,7 @@ class ModbusSlave:
         answer = self._answer(body)
         return struct.pack(">HHHB", number, 0, len(answer) + 1, unit) + answer
 
-    def _answer(self, body: bytes) -> bytes:
+    def _answer(self, body):
         function = body[0]
         if function not in (3, 4, 6, 16):
             return bytes([function | 0x80, 1])

@@ -15,11 +15,10 @@ import time
 import tty
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
 
 from simulated_devices.wire import Wire
 
-from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.clock import RealClock
 
 _LOOKS_S, _TO_FETCH_S = 0.005, 0.2
 
@@ -27,13 +26,13 @@ _LOOKS_S, _TO_FETCH_S = 0.005, 0.2
 class FastClock(RealClock):
     """The computer's clock with shorter seconds, in processes whose clocks have the same speed."""
 
-    def __init__(self, speed: float) -> None:
+    def __init__(self, speed):
         self.speed = speed
 
-    def now(self) -> float:
+    def now(self):
         return RealClock.now(self) * self.speed
 
-    def sleep_until(self, time_s: float) -> None:
+    def sleep_until(self, time_s):
         while (left := time_s - self.now()) > 0.0:
             time.sleep(left / self.speed)
 
@@ -43,13 +42,13 @@ class SimulatedPort(Wire):
     pseudo-terminal lasts, which allows `unplug` and `replug`. If the host does not read, bytes are dropped and counted,
     as a UART does."""
 
-    def __init__(self, device: Any, clock: Clock, *, on_socket: bool = False) -> None:
+    def __init__(self, device, clock, *, on_socket=False):
         super().__init__(device, clock)
         self.by_url.pop(self.url)
         self._folder = tempfile.TemporaryDirectory(prefix="gradcal-sim-")
         self._of_port, self._stop = threading.Lock(), threading.Event()
-        self._ends: tuple[int, ...] = ()
-        self._listener: socket.socket | None = None
+        self._ends = ()
+        self._listener = None
         self._thread = threading.Thread(target=self._serve, daemon=True)
         if on_socket:
             self._listener = socket.create_server(("127.0.0.1", 0))
@@ -59,14 +58,14 @@ class SimulatedPort(Wire):
             self.url = str(Path(self._folder.name) / "port")
             self.replug()
 
-    def open(self) -> Self:
+    def open(self):
         if not self._thread.ident:
             self._thread.start()
         return self
 
     __enter__ = open
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._stop.set()
         if self._thread.ident:
             self._thread.join(timeout=5.0)
@@ -75,12 +74,12 @@ class SimulatedPort(Wire):
             self._listener.close()
         self._folder.cleanup()
 
-    def unplug(self) -> None:
+    def unplug(self):
         """Pull the cable: the host's port is gone, and its name too, so that no other port answers to it."""
         Path(self.url).unlink(missing_ok=True)
         self._hang_up()
 
-    def replug(self) -> None:
+    def replug(self):
         master, slave = pty.openpty()
         # A terminal that is not raw echoes and turns CR into LF.
         tty.setraw(slave)
@@ -88,25 +87,25 @@ class SimulatedPort(Wire):
         Path(self.url).symlink_to(os.ttyname(slave))
         self._keep(master, slave)
 
-    def _keep(self, *ends: int) -> None:
+    def _keep(self, *ends):
         os.set_blocking(ends[0], False)
         with self._of_port:
             self._ends = ends
 
-    def _hang_up(self) -> None:
+    def _hang_up(self):
         with self._of_port:
             ends, self._ends = self._ends, ()
         for end in ends:
             os.close(end)
 
-    def _serve(self) -> None:
+    def _serve(self):
         while not self._stop.is_set():
             with suppress(OSError, ValueError):
                 if data := self._from_host():
                     self.write(data)
                 self._to_host_now(self.read(0.0))
 
-    def _from_host(self) -> bytes:
+    def _from_host(self):
         if self._listener is not None and not self._ends:
             connection, _ = self._listener.accept()
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -121,7 +120,7 @@ class SimulatedPort(Wire):
             self._hang_up()
         return data
 
-    def _to_host_now(self, data: bytes) -> None:
+    def _to_host_now(self, data):
         """What the terminal takes; the rest is dropped, where the host fetches nothing for a while."""
         while data:
             with self._of_port, suppress(BlockingIOError):

@@ -1,41 +1,36 @@
 """The simulated laboratory on ports: an ESPEC, boards with GRBL or somebody at the terminal, units that
 send frames."""
 
-from typing import Any, Self
-
 import numpy as np
-from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.port import FastClock, SimulatedPort
 from simulated_devices.wire import Wire
 
-from gradcal_jax.hardware.clock import Clock, VirtualClock
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.lab import unit_options
-from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.spec.bench import TableAxis
 from gradcal_jax.spec.rig import rig_of
-from gradcal_jax.spec.spec_sections import Spec
 
 
 class SimulatedLab(lab.SimulatedLab):
     """Each device on a port of its own. A context manager."""
 
-    def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
+    def _connect(self, spec, clock, seed, sample_rate_hz, burst_s):
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
         low_c, high_c = (float(end) for end in spec.rig.chamber.range)
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c + 5.0, low_c=low_c - 5.0))
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, high_c=high_c + 5.0, low_c=low_c - 5.0)
         boards = [board_of(plant, clock) for plant in self.axis_plants]
         self.table = boards[0]
         units = [
             SimulatedFrames(sensor, clock, rate_hz=sample_rate_hz, burst_s=burst_s) for sensor in self.units.values()
         ]
-        line: Any = Wire if isinstance(clock, VirtualClock) else SimulatedPort
+        line = Wire if isinstance(clock, VirtualClock) else SimulatedPort
         self.ports = [line(device, clock) for device in [self.chamber, *boards, *units]]
         at_chamber, *others = (port.url for port in self.ports)
         at_axes, at_units = others[: len(boards)], others[len(boards) :]
-        tables: dict[str, Any] = {
+        tables = {
             "format": "gradcal-rig/1",
             "title": "simulated laboratory",
             "chamber": {"driver": "lines", "port": at_chamber, "safe": "standby", "options": {"protocol": "espec"}},
@@ -53,26 +48,26 @@ class SimulatedLab(lab.SimulatedLab):
                 unit["options"]["changes"]["timeout"] = f"{3.0 * clock.speed:g} s"
         self.rig = rig_of(tables)
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         for port in self.ports:
             port.open()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         for port in self.ports:
             port.__exit__()
 
 
-def board_of(plant: AxisPlant, clock: Clock) -> SimulatedGrbl:
+def board_of(plant, clock):
     """A board that accepts the rates of a rate table."""
     board = SimulatedGrbl(plant, clock)
     board.settings[110] = 360_000.0
     return board
 
 
-def axis_table(axis: TableAxis, port: str, by_hand: bool) -> dict[str, Any]:
+def axis_table(axis, port, by_hand):
     """The rig file's table of an axis: a board, or turned by hand at the terminal."""
-    limits: dict[str, Any] = {"max_rate": str(axis.max_rate), "max_acceleration": str(axis.max_acceleration)}
+    limits = {"max_rate": str(axis.max_rate), "max_acceleration": str(axis.max_acceleration)}
     if by_hand:
         device = {"driver": "operator", "port": "terminal", "options": limits}
     else:

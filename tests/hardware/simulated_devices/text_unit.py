@@ -3,30 +3,27 @@
 import operator
 from functools import reduce
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.imu import SampledSensor
-
 
 class SimulatedTextUnit:
     """Silent for `boot_s` (s) from power on; then a greeting, and ten samples at once."""
 
-    def __init__(self, sensor: SampledSensor, clock: Clock, boot_s: float = 0.0) -> None:
+    def __init__(self, sensor, clock, boot_s=0.0):
         self.sensor, self._clock, self._boot_s = sensor, clock, boot_s
         self.reboot()
 
-    def reboot(self) -> None:
+    def reboot(self):
         self._speaks_s = self._clock.now() + self._boot_s
         self._banner = b"MPU-6050 ready\r\n"
         self.sensor.restart(self._speaks_s, round(1.0 / self.sensor.true_period_s))
 
-    def receive(self, data: bytes) -> list[bytes]:
+    def receive(self, data):
         del data
         return []
 
-    def next_emission_s(self) -> float | None:
+    def next_emission_s(self):
         return self.sensor.next_time_s(10)
 
-    def emit(self, now_s: float) -> list[bytes]:
+    def emit(self, now_s):
         count = self.sensor.due(now_s)
         first, samples = self.sensor.taken, self.sensor.take(count)
         lines, self._banner = [self._banner] if self._banner else [], b""

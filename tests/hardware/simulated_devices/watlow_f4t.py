@@ -9,9 +9,6 @@ import struct
 
 from simulated_devices.modbus import ModbusSlave
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.plants import ChamberPlant
-
 _OFF, _AUTO = 62, 10
 _LOW_C, _HIGH_C = -70.0, 180.0
 
@@ -21,7 +18,7 @@ class SimulatedWatlowF4T(ModbusSlave):
 
     read_only = frozenset({2810, 2814, 2820, 1356})
 
-    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
+    def __init__(self, plant, clock):
         self.plant, self._clock, self.locked = plant, clock, False
         words = {4: 4, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251, 6730: 15}
         words |= {1356 + 100 * number: 88 for number in range(6)}
@@ -30,22 +27,22 @@ class SimulatedWatlowF4T(ModbusSlave):
             self.put(register, value)
         self._switch()
 
-    def put(self, register: int, value: float) -> None:
+    def put(self, register, value):
         """A float, its low word first."""
         bits = int.from_bytes(struct.pack(">f", value), "big")
         self.words |= {register: bits & 0xFFFF, register + 1: bits >> 16}
 
-    def get(self, register: int) -> float:
+    def get(self, register):
         bits = self.words[register + 1] << 16 | self.words[register]
         return struct.unpack(">f", bits.to_bytes(4, "big"))[0]
 
-    def reboot(self) -> None:
+    def reboot(self):
         """The loop comes back off."""
         self._buffer = b""
         self.words |= {2730: _OFF, 2814: _OFF}
         self._switch()
 
-    def word(self, register: int) -> int | None:
+    def word(self, register):
         # Both words of a number are of one instant.
         if register == 2820:
             self.put(2820, self.plant.air_c(self._clock.now()))
@@ -53,7 +50,7 @@ class SimulatedWatlowF4T(ModbusSlave):
             self.put(2810, self.plant.set_point_c(self._clock.now()))
         return self.words.get(register)
 
-    def write(self, register: int, values: tuple[int, ...]) -> int:
+    def write(self, register, values):
         before, now = dict(self.words), self._clock.now()
         super().write(register, values)
         if register == 2782:
@@ -72,5 +69,5 @@ class SimulatedWatlowF4T(ModbusSlave):
         self._switch()
         return 0
 
-    def _switch(self) -> None:
+    def _switch(self):
         self.plant.switch(self._clock.now(), self.words[2814] == _AUTO)

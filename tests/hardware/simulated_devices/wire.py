@@ -8,12 +8,12 @@ that sends by itself has `next_emission_s()` and `emit(now_s)`, too, and is aske
 import itertools
 import threading
 from contextlib import suppress
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
-from simulated_devices.faults import Spoils, arrivals
+from simulated_devices.faults import arrivals
 
 from gradcal_jax.hardware import setup
-from gradcal_jax.hardware.clock import Clock, holding
+from gradcal_jax.hardware.clock import holding
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.transport import Transport
 
@@ -28,64 +28,62 @@ class Wire:
     by_url: ClassVar[dict[str, "Wire"]] = {}
     _numbers = itertools.count()
 
-    def __init__(
-        self, device: Any, clock: Clock, *, faults: Spoils | None = None, commands: Spoils | None = None
-    ) -> None:
+    def __init__(self, device, clock, *, faults=None, commands=None):
         self.device, self.faults, self.commands = device, faults, commands
         self.url = f"/simulated/wire{next(self._numbers)}"
         self.lost_bytes, self.late, self.recorder = 0, "", None
         self._clock, self._lock = clock, threading.RLock()
         self._is_open = self._plugged = True
-        self._to_device: list[tuple[float, bytes]] = []
-        self._to_host: list[tuple[float, bytes]] = []
+        self._to_device = []
+        self._to_host = []
         self._held = 0
         self.by_url[self.url] = self
 
     # The device's end.
 
-    def open(self) -> Self:
+    def open(self):
         return self
 
     __enter__ = open
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.close()
         self.by_url.pop(self.url, None)
 
-    def unplug(self) -> None:
+    def unplug(self):
         """Pull the cable: the port is gone."""
         self._plugged = False
 
-    def replug(self) -> None:
+    def replug(self):
         self._plugged = True
 
-    def say(self, message: bytes) -> None:
+    def say(self, message):
         """Send unsolicited bytes: an alert, line noise."""
         with self._lock:
             self._send(self._to_host, message, None)
 
     # The host's end.
 
-    def opened(self, recorder: Any) -> Self:
+    def opened(self, recorder):
         if not self._plugged:
             raise PortRefused(f"The port {self.url} cannot be opened: it is unplugged.")
         self.recorder, self._is_open = recorder, True
         return self
 
-    def reopen(self) -> None:
+    def reopen(self):
         self.opened(self.recorder)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data):
         self._require_plugged()
         self._record(self._clock.now(), ">", data)
         with holding(self._lock, self._clock):
             self._send(self._to_device, data, self.commands)
             self._tick()
 
-    def read(self, timeout_s: float) -> bytes:
+    def read(self, timeout_s):
         return self.read_stamped(timeout_s)[0]
 
-    def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
+    def read_stamped(self, timeout_s):
         with self._clock.party():
             end_s = self._clock.now() + timeout_s
             while True:
@@ -102,19 +100,19 @@ class Wire:
             self._record(now_s, "<", data)
         return data, now_s
 
-    def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
+    def drain(self, quiet_s=0.0, *, longest_s=2.0):
         dropped, end_s = b"", self._clock.now() + longest_s
         while (chunk := self.read(quiet_s)) and self._clock.now() <= end_s:
             dropped += chunk
         return dropped
 
-    def close(self) -> None:
+    def close(self):
         self._is_open = False
 
-    def _speaks_s(self) -> float | None:
+    def _speaks_s(self):
         return self.device.next_emission_s() if hasattr(self.device, "next_emission_s") else None
 
-    def _tick(self) -> None:
+    def _tick(self):
         """What is under way arrives, and the device says what is due."""
         now_s = self._clock.now()
         while self._to_device and self._to_device[0][0] <= now_s:
@@ -124,7 +122,7 @@ class Wire:
             for message in self.device.emit(now_s):
                 self._send(self._to_host, message, self.faults)
 
-    def _send(self, way: list[tuple[float, bytes]], message: bytes, spoils: Spoils | None) -> None:
+    def _send(self, way, message, spoils):
         if way is self._to_host and self._held > _HOLDS_BYTES:
             self.lost_bytes += len(message)
             return
@@ -133,7 +131,7 @@ class Wire:
             self._held += len(chunk) * (way is self._to_host)
         way.sort(key=lambda due: due[0])
 
-    def _arrived(self) -> bytes:
+    def _arrived(self):
         count, now_s = 0, self._clock.now()
         while count < len(self._to_host) and self._to_host[count][0] <= now_s:
             count += 1
@@ -142,17 +140,17 @@ class Wire:
         self._held -= len(data)
         return data
 
-    def _record(self, time_s: float, direction: Any, data: bytes) -> None:
+    def _record(self, time_s, direction, data):
         if self.recorder is not None:
             with suppress(Exception):
                 self.recorder(time_s, direction, data)
 
-    def _require_plugged(self) -> None:
+    def _require_plugged(self):
         if not (self._plugged and self._is_open):
             raise Disconnected(f"The port {self.url} is gone. Check the cable and the device's power.")
 
 
-def line_to(url: str, *, clock: Clock, recorder: Any = None, **settings: Any) -> Any:
+def line_to(url, *, clock, recorder=None, **settings):
     """What a rig's port is opened by in the tests: a line in memory where it is one."""
     if url in Wire.by_url:
         return Wire.by_url[url].opened(recorder)

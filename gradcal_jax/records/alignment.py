@@ -173,8 +173,8 @@ def _refined(
         columns: list[Floats] = [np.interp(times_s, time_s, one) for one in values.T]
         return np.stack(columns, axis=1)
 
-    def left(line: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Residuals of the turns, zero where they are not known, these turns, their weights, and the direction."""
+    def left(line: Floats) -> tuple[Floats, Floats, Floats, float]:
+        """Residuals of the turns, zero where they are not known, these turns, their weights, and the scale."""
         times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
         row: NDArray[np.int64] = np.asarray(np.searchsorted(time_s, times_s), np.int64).clip(1, len(time_s) - 1)
         inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
@@ -184,7 +184,10 @@ def _refined(
         design: Floats = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
         known: Floats = turned * keep
         solution: Any = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
-        return known - design @ solution, known, weight, solution[:-1]
+        # Of several gyros, that turn about one axis, the columns are nearly one, and hardly tell the direction.
+        seen = float(np.sum(design[:, :-1] ** 2)) or np.inf
+        scale = float(solution[0]) if rates.shape[1] == 1 else float(np.sqrt(known @ known / seen))
+        return known - design @ solution, known, weight, scale
 
     def weighted(line: Floats) -> Floats:
         rest, _, weight, _ = left(line)
@@ -194,10 +197,9 @@ def _refined(
     bounds = [offset_s - _APART_S, -_CREDIBLE], [offset_s + _APART_S, _CREDIBLE]
     scales = [1e-2, 1e-5]
     fit = optimize.least_squares(weighted, [offset_s, 0.0], bounds=bounds, x_scale=scales, xtol=1e-12)
-    rest, known, _, direction = left(fit.x)
+    rest, known, _, scale = left(fit.x)
     power = float(known @ known)
     misfit = float(rest @ rest) / power + outside if np.count_nonzero(known) > 12 and power > 0.0 else 1.0
-    scale = float(direction[0] if len(direction) == 1 else np.linalg.norm(direction))
     return _Place(float(fit.x[0]), float(fit.x[1]), misfit, scale, fit.fun, fit.jac)
 
 

@@ -7,7 +7,7 @@ import pytest
 from hardware_bench import short_recipe
 
 from gradcal_jax import __version__
-from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.roles import Identity
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, new_folder, prepare_resume

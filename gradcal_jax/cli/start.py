@@ -96,8 +96,9 @@ def _folder(output: Path, preset: str | None, force: bool) -> int:
                 writable(output / name, force)
     answers = _asked() if preset is None else begin.preset(preset)
     texts = begin.files_of(answers)
+    mountings = 0
     if "spec.toml" in texts:
-        parse_spec(texts["spec.toml"], str(output / "spec.toml"))
+        mountings = len(parse_spec(texts["spec.toml"], str(output / "spec.toml")).rig.table.mounting)
     output.mkdir(parents=True, exist_ok=True)
     for name in texts:
         writable(output / name, force)
@@ -105,11 +106,11 @@ def _folder(output: Path, preset: str | None, force: bool) -> int:
         write_whole(output / name, text)
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     print("next, in this order:")
-    print("\n".join(f"  {line}" for line in _next(answers, str(output))))
+    print("\n".join(f"  {line}" for line in _next(answers, str(output), mountings)))
     return DONE
 
 
-def _next(answers: dict[str, str], folder: str) -> list[str]:
+def _next(answers: dict[str, str], folder: str, mountings: int) -> list[str]:
     """The commands from here to the firmware's header."""
     if answers["table"] == "none":
         return [
@@ -119,8 +120,15 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
         ]
     # A search makes turns of a motor, and a hand's are as they are.
     as_it_is = " --steps 0" if answers["table"] == "hand" else " --until-met"
-    own = f" --recording FILE --columns {folder}/columns.toml" if answers["stream"] == "own" else ""
+    own, several = "", answers["stream"] == "own" and mountings > 1
+    if answers["stream"] == "own" and not several:
+        own = f" --recording FILE --columns {folder}/columns.toml"
+    connect = (
+        f"connect the IMU, and describe it as [[imu]] in {folder}/rig.toml: a recording of its own logger can be used "
+        f"only of a run in one mounting, and this plan has {mountings}"
+    )
     return [
+        *([connect] if several else []),
         f"gradcal predict {folder}/spec.toml",
         f"gradcal optimise {folder}/spec.toml{as_it_is} -o {folder}/recipe.toml",
         f"gradcal run {folder}/recipe.toml --simulate -o {folder}/rehearsal",

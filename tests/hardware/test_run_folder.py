@@ -1,7 +1,5 @@
 """The folder of a run: made only for what can run, and what it began as: rig and recipe are remembered."""
 
-import re
-
 import numpy as np
 import pytest
 from hardware_bench import short_recipe
@@ -76,7 +74,7 @@ def test_a_run_does_not_go_on_with_another_device(ended, monkeypatch):
     monkeypatch.setattr(SimulatedAxis, "identify", lambda self: Identity("simulated", "another axis"))
     commanded = list[str]()
     monkeypatch.setattr(SimulatedAxis, "safe", lambda self, how: commanded.append(how))
-    with pytest.raises(WrongIdentity, match="x at .* is another device .*model 'another axis'"):
+    with pytest.raises(WrongIdentity, match=r"x at .* is another device .*model 'another axis'"):
         resume(ended)
     assert not commanded
 

@@ -151,6 +151,23 @@ def test_a_lag_does_not_run_across_what_was_not_recorded():
 
 
 @pytest.mark.long
+def test_a_lag_of_the_temperature_is_found():
+    changes = {
+        'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"': PROGRAMME,
+        '"0.5 deg/sqrt(h)"': '"0.01 deg/sqrt(h)"',
+    }
+    spec, lag = spec_of(**changes), 40.0
+    log = simulate_log(spec, sample_rate_hz=10.0, seed=4).log
+    # The thermometer leads: what the maps followed is the log's temperature, what is measured is ahead of it.
+    ahead = log.temperature_c + lag * np.gradient(log.temperature_c[0], log.time_s)
+    (channel,) = estimated(spec, replace(log, temperature_c=ahead))
+    assert channel.lag.seconds == pytest.approx(lag, abs=max(5 * channel.lag.std, 2.0))
+    assert channel.lag.std < 5.0
+    (without,) = estimated(spec, replace(log, temperature_c=ahead), options=Options(lag=0.0))
+    assert without.consistency.fit.statistic > channel.consistency.fit.statistic + 100.0
+
+
+@pytest.mark.long
 def test_a_small_lag_that_the_spec_states_is_fitted_or_in_the_covariance():
     """Some of the lags are larger than what a single log determines, some are not. Either way the errors of twelve
     units are as large in their standard deviations as without any lag."""

@@ -263,8 +263,10 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
     sizes, periods = np.diff(begins), np.diff(time[begins])
     most, period = int(np.bincount(sizes).argmax()), float(np.median(periods))
     larger, smaller = np.mean(sizes > most), np.mean(sizes < most)
-    # Bursts come evenly, and some have fewer rows, which did not fall into the next one: rows were lost.
-    if np.quantile(np.abs(periods - period), 0.9) < _EVENLY * period and larger < 0.1 * smaller:
+    # Bursts come evenly, and some have fewer rows, which did not fall into the next one: rows were lost. One that lost
+    # its first row begins later.
+    lasts = float(np.median(time[begins[1:] - 1] - time[begins[:-1]]))
+    if np.quantile(np.abs(periods - period), 0.9) < _EVENLY * period + lasts and larger < 0.1 * smaller:
         return None
     rows = np.arange(len(time), dtype=np.float64)
     line: Any = np.polyval(np.polyfit(rows, time, 1), rows)

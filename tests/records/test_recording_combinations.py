@@ -142,6 +142,12 @@ def test_a_combination_is_right_or_asked_about(tmp_path_factory):
     every(40, tmp_path_factory, sound=False)
 
 
+def test_pairs_of_which_some_have_lost_a_row_are_asked_about(tmp_path):
+    """Where the first row of a pair is lost, the pair begins later by 2 % of the period."""
+    (question,) = off(Case(95232040, 1.85546875, 0.0, "s", "pairs", "many lost", "sound", "plain"), tmp_path)[1]
+    assert "not those of one even clock" in question
+
+
 def test_of_a_sound_record_nothing_is_asked(tmp_path_factory):
     every(20, tmp_path_factory, sound=True)
 

@@ -6,7 +6,7 @@ import gradcal_jax
 from gradcal_jax.design.optimise import Optimised, record_of
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.information.verdicts import versions_of
-from gradcal_jax.recipe.recipe import FORMAT, Recipe, RecipeOrigin
+from gradcal_jax.recipe.recipe import FORMAT, Recipe, RecipeOrigin, fingerprint_of
 from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.recipe.tracks import Stability
 from gradcal_jax.spec.spec import expect_spec
@@ -43,6 +43,7 @@ def make_recipe(plan: Spec | Optimised, *, status: str = "") -> Recipe:
         # Defaults may change in another version.
         stability=Stability(**{name: getattr(Stability(), name) for name in Stability.model_fields}),
         prediction=Prediction.model_validate(prediction),
+        spec_fingerprint=fingerprint_of(spec),
         spec=spec,
         **fields,
     )

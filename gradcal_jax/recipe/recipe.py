@@ -7,7 +7,7 @@ all that a runner needs of it.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -56,8 +56,15 @@ class Recipe(TitledFile):
     """Prediction for the rounded plan, without the covariance."""
     optimisation: dict[str, Any] | None = None
     """Record of the optimisation: objective, its value before and after, number of starts, limits."""
+    spec_fingerprint: Text
+    """A hash of the spec, which one that was changed by hand does not have."""
     spec: Spec = Field(title="gradcal-spec/1")
     """The spec, with the plan that the recipe executes."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.spec_fingerprint != fingerprint_of(self.spec):
+            message = "was changed by hand, and the prediction is of another plan: make the recipe again, from a spec"
+            yield Problem(("spec",), message)
 
     def __str__(self) -> str:
         return show(self)
@@ -94,39 +101,33 @@ class Recipe(TitledFile):
     @property
     def fingerprint(self) -> str:
         """A hash of the contents, the same on every computer, which a resumed run compares."""
-        text = json.dumps(tables_of(self), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return fingerprint_of(self)
+
+
+def fingerprint_of(contents: Section) -> str:
+    """A hash of the contents of a file, the same on every computer."""
+    text = json.dumps(tables_of(contents), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe file: tracks in SI (°C), rounded to the controllers' steps, prediction (ppm, deg/h), spec inside.
+    """Read a recipe file: prediction (ppm, deg/h), and the spec inside, rounded to the controllers' steps.
 
-    Errors: `SpecError` that lists everything wrong with it, and where its tracks do not follow from its spec.
+    Errors: `SpecError` that lists everything wrong with it, and where its spec was changed by hand.
     """
     return parse_recipe(read_text(path), str(path))
 
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    return _spec_of(spec_or_recipe(path))
-
-
-def spec_of_either(document: Mapping[str, Any], source: str = "") -> Spec:
-    """The spec from the tables of a spec or recipe. Raises `SpecError`."""
-    return _spec_of(_spec_or_recipe_of(document, source))
+    contents = spec_or_recipe(path)
+    return contents.spec if isinstance(contents, Recipe) else contents
 
 
 def spec_or_recipe(path: str | Path) -> Spec | Recipe:
     """The spec or the recipe in a file. Raises `SpecError`."""
-    return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
-
-
-def _spec_or_recipe_of(document: Mapping[str, Any], source: str = "") -> Spec | Recipe:
+    document, source = read_toml(read_text(path), str(path)), str(path)
     return recipe_of(document, source) if is_recipe(document) else spec_of(document, source)
-
-
-def _spec_of(contents: Spec | Recipe) -> Spec:
-    return contents.spec if isinstance(contents, Recipe) else contents
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

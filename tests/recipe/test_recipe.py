@@ -1,6 +1,7 @@
 """Recipes as files: rounded to the controllers' steps, of one piece with the spec inside, and nothing done by hand."""
 
 import math
+import re
 import tomllib
 from decimal import Decimal
 from pathlib import Path
@@ -191,3 +192,11 @@ def test_every_recipe_of_the_experiments_is_read(path):
     recipe = read_recipe(path)
     assert recipe.spec.sensor.gyro.axes == ("x",)
     assert parse_recipe(to_toml(recipe)) == recipe
+
+
+def test_a_recipe_whose_spec_was_changed_by_hand_is_refused():
+    text = to_toml(made_of(MEMS))
+    slope = re.search(r'gradient = ".*"', text)[0]
+    with pytest.raises(SpecError, match="make the recipe again") as caught:
+        parse_recipe(text.replace(slope, 'gradient = "0.5 K/min"'))
+    assert [problem.dotted for problem in caught.value.problems] == ["spec"]

@@ -5,6 +5,7 @@ import re
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from nothing_omitted import with_nothing_omitted
 from search_problem import SPEC, exact
@@ -97,6 +98,18 @@ def test_the_objective_of_a_table_at_rest_is_that_of_its_plan():
     of = jax.tree.map(jnp.asarray, plan.coordinates.structure(plan.start.turns))
     value = float(jax.jit(plan.value)(plan.point(plan.start), (of, 1e5)))
     assert math.exp(value) == pytest.approx(exact(plan.spec), rel=0.005)
+
+
+@pytest.mark.long
+def test_the_recipe_of_limited_travel_is_better_and_stays_within_it(spec):
+    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
+    moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
+    given = changed(spec, {"rig.table.axis[0].travel": "360 deg", "plan.cycle.moves": moves})
+    *_, best = run_search(given, steps=600)
+    assert isinstance(best, Optimised)
+    assert best.now < 0.5 * best.before
+    places = np.cumsum([s.move.angle for s in best.spec.gradient_schedule.steps])
+    assert np.max(np.abs(places)) <= math.radians(360.0) * (1 + 1e-9)
 
 
 @pytest.mark.evidence

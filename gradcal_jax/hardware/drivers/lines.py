@@ -9,7 +9,7 @@ Unverified on real hardware: everything; each description says what its sources 
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, cached_property, partial
 from typing import Literal
@@ -246,7 +246,8 @@ class LinesAxis(DescribedDevice, MotionAxis):
 
     def home(self) -> None:
         self._powered = False
-        self._make_ready()
+        self._power()
+        self._halt()
         self._speaker.home()
         end_s = self._clock.now() + float(self._config.home_timeout)
         while (reading := self.read()).moving:
@@ -258,40 +259,31 @@ class LinesAxis(DescribedDevice, MotionAxis):
         self._referenced = True
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        limits = self._check(rate_dps, acceleration_dps2, position_deg)
-        self._require_ready(referenced=True)
-        self._make_ready()
-        self._prepare(rate_dps, acceleration_dps2)
+        values = self._prepare(rate_dps, acceleration_dps2, position_deg)
         own_deg = (position_deg - self._zero_deg) * self._config.direction
-        position = units.convert(own_deg, "deg", self._said.units.angle)
-        values = {"position": position, **self._motion(rate_dps, acceleration_dps2)}
-        command_and_verify(
-            self._clock,
+        values["position"] = units.convert(own_deg, "deg", self._said.units.angle)
+        near_deg = math.degrees(self._said.limits.step)
+        self._begin(
             f"The move to {position_deg:g} deg",
-            lambda: self._speaker.tell("move", values),
-            self.read,
-            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= limits.resolution_deg,
+            "move",
+            values,
+            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near_deg,
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         if "spin" not in self._said.tell:
             raise Rejected(f"The protocol of {self._title} has no command for a constant rate: use turns in the plan.")
-        self._check(abs(rate_dps), acceleration_dps2)
-        self._require_ready(referenced=False)
         shown_by = self._said.tell["spin"].shown_by
-        self._make_ready(stands=not shown_by)
-        self._prepare(abs(rate_dps), acceleration_dps2)
+        values = self._prepare(abs(rate_dps), acceleration_dps2, stands=not shown_by)
         signed = rate_dps * self._config.direction
-        velocity = units.convert(signed, "deg/s", self._said.units.rate)
-        values = {"velocity": velocity, **self._motion(abs(rate_dps), acceleration_dps2)}
+        values["velocity"] = math.copysign(values["rate"], signed)
         if self._said.limits.spin_angle is not None:
             far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
             self._speaker.tell_shown("spin", values)
-            return
-        what, send = f"The rate {rate_dps:g} deg/s", lambda: self._speaker.tell("spin", values)
-        command_and_verify(self._clock, what, send, self.read, lambda reading: reading.moving)
+        else:
+            self._begin(f"The rate {rate_dps:g} deg/s", "spin", values, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
@@ -326,39 +318,43 @@ class LinesAxis(DescribedDevice, MotionAxis):
     def _zero_deg(self) -> float:
         return math.degrees(self._config.zero)
 
-    def _check(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> AxisLimits:
-        limits = self.limits()
-        require_within(limits.beyond(rate_dps, acceleration_dps2, position_deg))
-        return limits
-
-    def _require_ready(self, *, referenced: bool) -> None:
+    def _prepare(
+        self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None, *, stands: bool = True
+    ) -> dict[str, float]:
+        """What comes before a motion; returns the values of its command. Settings that the device keeps between moves
+        are restored at the end of a run."""
+        require_within(self.limits().beyond(rate_dps, acceleration_dps2, position_deg))
         reading = self.read()
-        if reading.faults or (referenced and not reading.referenced):
+        if reading.faults or (position_deg is not None and not reading.referenced):
             raise DeviceFault(
                 f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
             )
-
-    def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
+        self._power()
+        if stands:
+            self._halt()
         unit = self._said.units
         acceleration = units.convert(acceleration_dps2, "deg/s^2", unit.acceleration)
-        return {"rate": units.convert(rate_dps, "deg/s", unit.rate), "acceleration": acceleration}
-
-    def _make_ready(self, *, stands: bool = True) -> None:
-        """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
-        if "on" in self._said.tell:
-            if self._powered and not self._is("powered", self._speaker.read(*self._fields_of("powered"))):
-                raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
-            self._switch("on", "powered", True)
-            self._powered = True
-        if stands and self.read().moving:
-            self.stop()
-
-    def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
-        """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
-        values = self._motion(rate_dps, acceleration_dps2)
-        for name in ("acceleration", "rate"):
+        values = {"acceleration": acceleration, "rate": units.convert(rate_dps, "deg/s", unit.rate)}
+        for name in values:
             if name in self._said.tell:
                 self.settings.change(name, self._speaker.text_of(name, values))
+        return values
+
+    def _begin(self, what: str, command: str, values: dict[str, float], begun: Callable[[AxisReading], bool]) -> None:
+        command_and_verify(self._clock, what, lambda: self._speaker.tell(command, values), self.read, begun)
+
+    def _power(self) -> None:
+        """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
+        if "on" not in self._said.tell:
+            return
+        if self._powered and not self._is("powered", self._speaker.read(*self._fields_of("powered"))):
+            raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
+        self._switch("on", "powered", True)
+        self._powered = True
+
+    def _halt(self) -> None:
+        if self.read().moving:
+            self.stop()
 
     def _setting(self, name: str) -> str:
         shown_by = self._said.tell[name].shown_by

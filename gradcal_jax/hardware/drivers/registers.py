@@ -14,7 +14,7 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.described import DescribedChamber, RequestOptions, Speaker, Texts
+from gradcal_jax.hardware.drivers.described import DescribedChamber, RequestOptions, Texts
 from gradcal_jax.hardware.errors import FramingError, LimitExceeded, Rejected
 from gradcal_jax.hardware.register_protocol import Register, RegisterProtocol
 from gradcal_jax.hardware.request_reply import Exchange
@@ -33,8 +33,8 @@ class RegistersConfig(RequestOptions):
     address: Annotated[int, Field(strict=True, ge=0, le=255)] = 1
     """Address of the device on its line."""
 
-    def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> DescribedChamber:
-        return DescribedChamber(Registers(link, self))
+    def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "RegistersChamber":
+        return RegistersChamber(link, self)
 
     def lacks_for(self, safe: str) -> str:
         if safe != "standby" or "off" in self.described.tell:
@@ -42,40 +42,40 @@ class RegistersConfig(RequestOptions):
         return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
 
 
-class Registers(Speaker):
+class RegistersChamber(DescribedChamber):
     name = "registers"
 
     def __init__(self, exchange: Exchange, config: RegistersConfig) -> None:
         super().__init__(exchange, config)
-        self._modbus = Modbus(config.address, tcp=self.said.line.transport == "tcp")
+        self._modbus = Modbus(config.address, tcp=self._said.line.transport == "tcp")
 
-    def read(self, *names: str) -> Texts:
-        known = self.said.registers
+    def _fields(self, *names: str) -> Texts:
+        known = self._said.registers
         return {name: _text(known[name], self._number(known[name])) for name in names if name in known}
 
-    def tell(self, name: str, values: Mapping[str, float]) -> None:
-        for register, value in self.said.tell[name].items():
-            entry = self.said.registers[register]
+    def _tell(self, name: str, values: Mapping[str, float]) -> None:
+        for register, value in self._said.tell[name].items():
+            entry = self._said.registers[register]
             number = values[name] if isinstance(value, str) else value
             if entry.type != "float32":
                 number = round(number * 10.0**entry.decimals)
             try:
                 data = struct.pack(_FORMATS[entry.type], number)
             except (struct.error, OverflowError):
-                raise LimitExceeded(f"{self.title}: {number:g} does not fit the register {register}.") from None
+                raise LimitExceeded(f"{self._title}: {number:g} does not fit the register {register}.") from None
             self._query(write_body(entry.address, self._ordered(data)), repeat=False)
 
-    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+    def _expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
         texts: Texts = {}
-        for register, value in sorted(self.said.tell[name].items(), key=lambda item: not isinstance(item[1], str)):
-            field = register if ramps else self.said.registers[register].shown_in or register
+        for register, value in sorted(self._said.tell[name].items(), key=lambda item: not isinstance(item[1], str)):
+            field = register if ramps else self._said.registers[register].shown_in or register
             number = values[name] if isinstance(value, str) else value
-            texts[field] = _text(self.said.registers[field], number)
+            texts[field] = _text(self._said.registers[field], number)
         return texts
 
-    def step_of(self, command: str) -> float:
-        (name,) = (name for name, written in self.said.tell[command].items() if isinstance(written, str))
-        entry = self.said.registers[name]
+    def _step_of(self, command: str) -> float:
+        (name,) = (name for name, written in self._said.tell[command].items() if isinstance(written, str))
+        entry = self._said.registers[name]
         return 0.0 if entry.type == "float32" else 10.0**-entry.decimals
 
     def _number(self, entry: Register) -> float:
@@ -84,16 +84,18 @@ class Registers(Speaker):
         body = self._query(struct.pack(">BHH", function, entry.address, struct.calcsize(form) // 2))
         (value,) = struct.unpack(form, self._ordered(body[2:]))
         if not math.isfinite(value):
-            raise FramingError(f"{self.title}: register {entry.address} is {value}. Check type and order of the words.")
+            raise FramingError(
+                f"{self._title}: register {entry.address} is {value}. Check type and order of the words."
+            )
         return value if entry.type == "float32" else value / 10.0**entry.decimals
 
     def _ordered(self, data: bytes) -> bytes:
         """The registers of a number in the device's order, or in the order of their values."""
-        return data[2:] + data[:2] if self.said.line.low_word_first else data
+        return data[2:] + data[:2] if self._said.line.low_word_first else data
 
     def _query(self, body: bytes, *, repeat: bool = True) -> bytes:
         parse = partial(self._modbus.reply, body=body)
-        return self.exchange.query(self._modbus.message(body), parse, repeat=repeat)
+        return self._exchange.query(self._modbus.message(body), parse, repeat=repeat)
 
 
 def write_body(register: int, data: bytes) -> bytes:

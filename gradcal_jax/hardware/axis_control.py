@@ -304,10 +304,6 @@ class AxisControl:
         axis = self.axes[move.axis]
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             raise StepNotDone(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
-        if move.kind == "turn" and axis.spins:
-            axis.device.stop()
-            axis.command = None
-            self._settle(axis, duties)
         for other in self._turning():
             if other is not axis or move.kind == "turn":
                 self._settle(other, duties)

@@ -9,19 +9,16 @@ another rate. The allowed rate of an axis follows from its commands; its place a
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gradcal_jax.hardware.chamber_control import Tell
-from gradcal_jax.hardware.clock import Clock, beside, until
+from gradcal_jax.hardware.clock import Clock, Work, beside, until
 from gradcal_jax.hardware.errors import HardwareError, StepNotDone
 from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
-
-Duties = Callable[[], None]
-"""What the run does while it waits for an axis."""
 
 _POLL_S, _POLL_BY_HAND_S = 0.05, 0.25
 _LONGEST_MOVE_S = 120.0
@@ -103,7 +100,7 @@ class Axis:
         command = self.command
         return -math.inf if command is None else self.began_s + command.duration_s + command.answer_s
 
-    def search(self, duties: Duties) -> None:
+    def search(self, duties: Work) -> None:
         """Find the reference, at a rate that the device chooses."""
         self.event("homing", axis=self.name)
         self._told_dps, self._rests_deg = math.inf, math.nan
@@ -275,7 +272,7 @@ class AxisControl:
         """The axes whose move ends by itself, by name."""
         return [axis for _, axis in sorted(self.axes.items()) if axis.looks_s < math.inf]
 
-    def home(self, names: list[str], duties: Duties) -> None:
+    def home(self, names: list[str], duties: Work) -> None:
         for name in names:
             self.axes[name].homed = False
         for name in names:
@@ -286,7 +283,7 @@ class AxisControl:
         """Whether an axis may still be told to find its reference, also after a run has been ended."""
         return self._clock.now() < self.axes[name].searches_since_s + _SEARCH_TOLD_S
 
-    def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Duties) -> None:
+    def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Work) -> None:
         """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, goal in start_deg.items():
             axis, limits = self.axes[name], self.axes[name].limits
@@ -298,7 +295,7 @@ class AxisControl:
                 axis.tell(step, AxisCommand(0.0, name, "go", goal - axis.at_deg, rate, acceleration))
                 self._settle(axis, duties)
 
-    def move(self, step: str, move: AxisCommand, due_s: float, duties: Duties) -> None:
+    def move(self, step: str, move: AxisCommand, due_s: float, duties: Work) -> None:
         """A turn waits until the turn before it has ended, of any axis: one axis turns at a time, the others hold. The
         delay is in the journal."""
         axis = self.axes[move.axis]
@@ -350,11 +347,11 @@ class AxisControl:
         }
         return {rule: "; ".join(filter(None, map(said, self.axes.values()))) for rule, said in rules.items()}
 
-    def settle_all(self, duties: Duties) -> None:
+    def settle_all(self, duties: Work) -> None:
         for axis in self._turning():
             self._settle(axis, duties)
 
-    def _settle(self, axis: Axis, duties: Duties) -> None:
+    def _settle(self, axis: Axis, duties: Work) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
         longest_s = math.inf if axis.limits.by_hand else max(0.0, axis.ends_s - self._clock.now()) + _LONGEST_MOVE_S
         stands = until(

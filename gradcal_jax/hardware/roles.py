@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware.errors import HardwareError
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
 
 
@@ -249,15 +251,15 @@ class ImuBatch:
     restarted       (n,)   whether the IMU restarted before it, so that its own time is not continuous
     """
 
-    host_time_s: NDArray[np.float64]
-    device_time_s: NDArray[np.float64]
-    gyro_dps: NDArray[np.float64]
-    acceleration_g: NDArray[np.float64]
-    temperature_c: NDArray[np.float64]
-    status: NDArray[np.int64]
-    gap_before: NDArray[np.int64]
-    disturbed: NDArray[np.bool_]
-    restarted: NDArray[np.bool_]
+    host_time_s: Floats
+    device_time_s: Floats
+    gyro_dps: Floats
+    acceleration_g: Floats
+    temperature_c: Floats
+    status: Integers
+    gap_before: Integers
+    disturbed: Flags
+    restarted: Flags
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]

@@ -11,10 +11,9 @@ from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax import units
-from gradcal_jax.hardware.roles import Floats, ImuBatch, imu_batch
+from gradcal_jax.hardware.roles import Flags, Floats, ImuBatch, imu_batch
 
 _LONG = 1 << 16
 SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -76,7 +75,7 @@ class SampleDecoder:
         steps = np.diff(stamps, prepend=newest)
         kept = steps != 0.0
         steps, count = steps[kept], int(np.count_nonzero(kept))
-        restarted: NDArray[np.bool_] = steps < 0.0
+        restarted: Flags = steps < 0.0
         if self._modulus is not None:
             steps = np.mod(steps, float(self._modulus))
             restarted = np.zeros(count, np.bool_) if self._short else steps > 0.5 * self._modulus

@@ -26,7 +26,7 @@ from gradcal_jax.spec.rig import (
     OperatorPlace,
     RigFile,
 )
-from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, one_of
+from gradcal_jax.tables.problems import Key, Problem, SpecError, from_validation, hint, one_of
 
 LEFT: Final = "left streaming"
 """What happens to an IMU at the end of a run: it has no unsafe state."""
@@ -80,7 +80,7 @@ def _fits(driver: type[DriverOptions] | None, role: Role) -> bool:
     return driver is not None and (driver.role == role or (driver.role is None and role != "imu"))
 
 
-def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
+def config_of(device: Device | EncoderDevice, role: Role, place: Key) -> Any:
     """The options of a device of the rig file.
 
     Raises:
@@ -105,9 +105,9 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
     return config
 
 
-def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
+def configs_of(rig: RigFile) -> dict[Key, Any]:
     """The options of all devices, by their place in the file. Raises `SpecError` with every problem."""
-    configs: dict[tuple[str | int, ...], Any] = {}
+    configs: dict[Key, Any] = {}
     problems: list[Problem] = []
     for role, place, _, device in _entries(rig):
         try:
@@ -124,7 +124,7 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     return configs
 
 
-def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
+def _entries(rig: RigFile) -> list[tuple[Role, Key, str, Device]]:
     """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber". Axes are first,
     because what turns is made safe first."""
     chamber = () if rig.chamber is None else (rig.chamber,)

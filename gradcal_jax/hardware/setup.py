@@ -14,6 +14,7 @@ from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import DriverOptions
 from gradcal_jax.hardware.drivers.operator import Console
 from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
+from gradcal_jax.hardware.interlocks import limits_of
 from gradcal_jax.hardware.journal import Recorder
 from gradcal_jax.hardware.transport import Terminal, TextLine, Transport, same_port
 from gradcal_jax.spec.rig import (
@@ -153,14 +154,6 @@ class Bench(AbstractContextManager["Bench"]):
     def settings(self) -> dict[str, roles.KeptSettings]:
         return {name: device.settings for name, device in self.axes.items()}
 
-    def chamber_limits(self) -> roles.ChamberLimits | None:
-        if self.chamber is None or self.rig.chamber is None:
-            return None
-        limits, below, above = self.chamber.limits(), self.rig.chamber.never_below, self.rig.chamber.never_above
-        lowest = limits.lowest_c if below is None else max(limits.lowest_c, float(below))
-        highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
-        return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
-
     def devices(self) -> list[tuple[str, Device, Opened]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
         opened: dict[str, Any] = {**self.axes, **self.imus, "chamber": self.chamber}
@@ -282,7 +275,11 @@ def report_of(bench: Bench, name: str, entry: Device, device: Opened) -> DeviceR
         if isinstance(device, roles.ImuStream):
             limits = device.configure()
         else:
-            limits = bench.chamber_limits() if device is bench.chamber else device.limits()
+            limits = device.limits()
+            if isinstance(limits, roles.ChamberLimits):
+                rules = limits_of(bench.rig)
+                lowest, highest = max(limits.lowest_c, rules.never_below_c), min(limits.highest_c, rules.never_above_c)
+                limits = dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
             # Identity and limits may stand in the rig file alone: at least this is asked of the device.
             reading = device.read()
             if isinstance(reading, roles.ChamberReading):

@@ -35,8 +35,7 @@ from gradcal_jax.hardware import journal, supervision
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.listening import TextUnitConfig
-from gradcal_jax.hardware.execute import limits_of
-from gradcal_jax.hardware.interlocks import InterlockLimits
+from gradcal_jax.hardware.interlocks import InterlockLimits, limits_of
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.supervision import read_status

@@ -176,7 +176,11 @@ class Residual(NamedTuple):
         """The statistic by a root of the covariance of all parameters: exact for an infinite sharpness, from above
         otherwise."""
         root = namespace(root, self.unseen).concatenate([root, *self.unseen], axis=1)
-        return self.of([element.variance(root) + self.added for element in self.elements], sharpness)
+        return self.of(self.variances(root), sharpness)
+
+    def variances(self, root: Float[AnyArray, "p r"]) -> list[Float[AnyArray, " g"]]:
+        """The variances on each element's points."""
+        return [element.variance(root) + self.added for element in self.elements]
 
     def of(self, variances: list[AnyArray], sharpness: Float[AnyArray, ""] | float = EXACT) -> Any:
         """The statistic by the variances on each element's points."""

@@ -53,13 +53,6 @@ def test_the_covariance_of_a_log_is_that_of_its_plan():
     assert 1.0 <= np.median(ratio) < 1.02
 
 
-def test_outputs_are_columns_times_parameters():
-    built = build_imu(scene("two axes", 0.1))
-    model, nodes, values = built.model, built.body_nodes(), np.random.default_rng(1).standard_normal(built.model.size)
-    for c, columns, output in zip(model.channels, model.own_columns(nodes), model.outputs(nodes, values), strict=True):
-        np.testing.assert_allclose(output, columns @ values[model.where(c.kind, c.axis)], rtol=0.0, atol=1e-9)
-
-
 def test_gyros_off_the_axes_are_sensitive_to_what_they_feel_there():
     """At 0.4 m a move adds a whole g to gravity, and a sensitivity of 50 deg/h/g makes minutes of arc of it."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(21)

@@ -8,6 +8,7 @@ Deviations from the track raise `StepNotDone`: a late command, a turn that ended
 another rate. The allowed rate of an axis follows from its commands; its place at every instant from the turn under way.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -191,13 +192,12 @@ class Axis:
 
     # What is wrong with the newest reading: a sentence each, or an empty one.
 
-    def faulty(self) -> str:
-        return f"axis {self.name}: {', '.join(self.newest.faults)}" if self.newest and self.newest.faults else ""
+    def faulty(self, newest: AxisReading) -> str:
+        return f"axis {self.name}: {', '.join(newest.faults)}" if newest.faults else ""
 
-    def too_fast(self) -> str:
+    def too_fast(self, newest: AxisReading) -> str:
         """A sentence where it turns faster than by its commands, or than the rig allows."""
-        newest = self.newest
-        if newest is None or self.limits.by_hand or newest.time_s <= self._told_s:
+        if self.limits.by_hand or newest.time_s <= self._told_s:
             return ""
         bounds = self._allowed_dps(), self.limits.max_rate_dps
         if abs(newest.rate_dps) <= min(bound + _tolerance_dps(bound) for bound in bounds):
@@ -205,20 +205,19 @@ class Axis:
         turns = f"axis {self.name} turns at {newest.rate_dps:.1f} deg/s"
         return f"{turns}; the command was {bounds[0]:g}, and the rig allows {bounds[1]:g}"
 
-    def strays(self) -> str:
+    def strays(self, newest: AxisReading) -> str:
         """A sentence where it has left the angle at which it stood without a command, whatever its state says."""
-        newest = self.newest
-        if newest is None or self.limits.by_hand or not abs(newest.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
+        if self.limits.by_hand or not abs(newest.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
             return ""
         return (
             f"axis {self.name} stood at {self._rests_deg:.1f} deg and was not told to move, and is at "
             f"{newest.position_deg:.1f} deg: check its controller, and whether something pushed it"
         )
 
-    def stalled(self) -> str:
+    def stalled(self, newest: AxisReading) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
-        command, newest = self.command, self.newest
-        if command is None or newest is None or self.spins or self.limits.by_hand:
+        command = self.command
+        if command is None or self.spins or self.limits.by_hand:
             return ""
         stood_s, after_s = newest.time_s - self._stands_since_s, newest.time_s - self.began_s
         if not newest.moving or stood_s < _STALL_S:
@@ -345,7 +344,8 @@ class AxisControl:
             "stray axis": Axis.strays,
             "stalled axis": Axis.stalled,
         }
-        return {rule: "; ".join(filter(None, map(said, self.axes.values()))) for rule, said in rules.items()}
+        read = [(axis, axis.newest) for axis in self.axes.values() if axis.newest is not None]
+        return {rule: "; ".join(filter(None, itertools.starmap(said, read))) for rule, said in rules.items()}
 
     def settle_all(self, duties: Work) -> None:
         for axis in self._turning():

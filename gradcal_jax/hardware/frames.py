@@ -308,4 +308,4 @@ class FrameDecoder(SampleDecoder):
                 self._starting = bool(starting[-1])
         unusable = ~np.isfinite(np.hstack(list(values.values()))).all(axis=1)
         status[unusable & (status == 0)] = 1
-        return self._batch(host_time_s, stamps, values, disturbed, status=status, restarted=restarted)
+        return self._batch(host_time_s, stamps, values, disturbed, status, restarted)

@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed, taken
 from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
 from gradcal_jax.model import BodyNodes, ImuModel, NodeGroup
 from gradcal_jax.model.terms import Term
@@ -127,15 +127,15 @@ def _by_pieces(model: ImuModel) -> bool:
 def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
     """Regressors of every row."""
     own, shared = model.columns(nodes)
-    shared = at.sums(shared[nodes.kind])
+    shared = at.sums(taken(shared, nodes.kind))
     parts, begin, calibrated = [], 0, model.calibrated
     for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
         rows, end = np.flatnonzero(at.row_channel == i), begin + c.size
         # (All segments are most often rows of an only channel.)
         segment = slice(None) if len(rows) == len(at.row_channel) == len(at.first) else at.row_segment[rows]
-        parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
+        parts.append(((rows, slice(begin, end)), taken(at.sums(block), segment)))
         if model.installation:
-            parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+            parts.append(((rows, slice(calibrated, None)), taken(shared[:, c.index], segment)))
         begin = end
     return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
 
@@ -343,10 +343,11 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
     before, after = motion.angles()
     # For an example of each kind: begin and total angle of its segment.
     segment = np.searchsorted(at.first, motion.example, side="right") - 1
-    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
+    began = taken(before, at.first[segment])
+    whole = taken(after, at.last[segment]) - taken(before, at.first[segment])
 
     def of_group(g: NodeGroup):
-        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
+        begin, span = taken(began, g.kinds)[:, None], taken(whole, g.kinds)[:, None]
         # The share of the move that is completed interpolates the error between the two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
         stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
@@ -354,21 +355,23 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
         gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
         share = xp.where(turns, xp.where(away, gone, 0.5), stands)
         shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
-        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k)[..., sensed] for k in range(axes)]
-        return xp.concatenate([xp.stack(parts, axis=2), of_sensed(g.integral(g.axes))[:, None]], axis=1)
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ of_sensed(g.turned(k)) for k in range(axes)]
+        return xp.concatenate([xp.stack(parts, axis=2), rates(g.integral(g.axes))[:, None]], axis=1)
 
     # Of the rates and forces along the body's axes those that a channel senses.
     sensed = np.array([c.index for c in model.channels])
-    of_sensed = lambda rates: xp.concatenate([rates, xp.zeros(rates.shape)], axis=-1)[..., sensed]  # noqa: E731
-    sums = at.sums(nodes.of_kinds(of_group, (3, axes, len(sensed)))[nodes.kind])
+    of_sensed = lambda of: xp.moveaxis(taken(xp.moveaxis(of, -1, 0), sensed), 0, -1)  # noqa: E731
+    rates = lambda of: of_sensed(xp.concatenate([of, xp.zeros(of.shape)], axis=-1))  # noqa: E731
+    sums = at.sums(taken(nodes.of_kinds(of_group, (3, axes, len(sensed))), nodes.kind))
     if model.encoder.held and not motion.line.rates:
         own = at.axis[:, None] == np.arange(axes)[None, :]
-        along = of_sensed(xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0))
+        along = rates(xp.where(own[..., None], taken(nodes.axes_before, nodes.kind[at.first]), 0.0))
     else:
         lasting = at.sums(motion.line.duration)[:, None, None]
         along = sums[:, 2] / xp.where(lasting > 0.0, lasting, 1.0)
     slow = sums[:, :2] + xp.stack([along, -along], axis=1)
-    of_encoder = slow[at.row_segment, :, :, at.row_channel]
+    by_channel = xp.reshape(xp.moveaxis(slow, -1, 1), (-1, 2, axes))
+    of_encoder = taken(by_channel, at.row_segment * len(sensed) + at.row_channel)
     count = len(at.row_channel)
     parts = [
         ((slice(None), np.arange(begin, begin + axes)), of_encoder[:, k])

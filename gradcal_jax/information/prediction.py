@@ -19,8 +19,9 @@ from gradcal_jax.information.verdicts import (
     target_of,
     verdict_of,
 )
-from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.spec.absent import absent_terms, with_typical
+from gradcal_jax.spec.places import hung_alike
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.arrays import namespace
-from gradcal_jax.calibration import UnseenError
+from gradcal_jax.calibration.file import UnseenError
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
 from gradcal_jax.information.plan_information import imu_posterior, plan_information

@@ -29,7 +29,7 @@ of_axes = pytest.mark.parametrize("bench", AXES.values(), ids=AXES)
 
 
 def set_point(device, clock):
-    return device.plant.set_point_c(clock.now())
+    return device.plant.at(clock.now()).set_point_c
 
 
 def rate_dps(device, clock):

@@ -203,7 +203,7 @@ def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> t
         # What is marked has no value, and lacks none.
         rows = rows & (status & Reason.MARKED.value == 0)
         if count := int(np.count_nonzero(rows)):
-            found.rows(reason.words, count, f"{counted(count)} {words}, first row {np.argmax(rows)}")
+            found.note(reason.words, f"{counted(count)} {words}, first row {np.argmax(rows)}")
             status[rows] |= reason.value
 
     mask(Reason.MARKED, columns.values.get("marked", 0.0 * time) != 0.0, "marked bad by the device")

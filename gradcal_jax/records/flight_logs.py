@@ -60,7 +60,7 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     if not (others := [name for name in logs if name != chosen.units[0]]):
         return chosen
     text = f"the log also has other IMUs: {', '.join(others)}; choose one with --unit"
-    return replace(chosen, findings=(Finding("other units", "keep", 0, text), *chosen.findings))
+    return replace(chosen, findings=(Finding("other units", text), *chosen.findings))
 
 
 def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None = None) -> list[Log]:

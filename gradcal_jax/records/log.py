@@ -177,16 +177,11 @@ class AngleReadings:
         return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One kind of fault in a record, and the action taken."""
+class Finding(NamedTuple):
+    """One kind of fault in a record."""
 
     kind: str
     """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
-    done: str
-    """``mask``, ``split`` or ``keep``; with ``refuse``, an error is raised instead."""
-    count: int
-    """Number of rows concerned; for gaps, the number of gaps; 0 for faults of the record as a whole."""
     message: str
     """The fault in a sentence."""
 
@@ -272,7 +267,7 @@ class Log:
             + ", SIMULATED" * self.simulated,
             f"  with {', '.join([*self.channels(), *has])}, in {len(self.stretch_starts)} stretches",
             f"  of {self.rows_read} rows: {counts}",
-            *(f"  {finding.done}: {finding.message}" for finding in self.findings),
+            *(f"  {finding.message}" for finding in self.findings),
         ]
 
     _shown = summary_lines

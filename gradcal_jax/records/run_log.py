@@ -267,32 +267,28 @@ def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
         (
             len(broken),
             "gap",
-            "split",
             f"about {missing} samples are missing at {len(broken)} places",
         ),
         (
             int(unsure_s > SETTLED_S),
             "late stamps",
-            "mask",
             f"the computer was so busy that its time stamps are accurate only to {unsure_s:.2g} s: as an additional "
             "margin, this time is left out at both ends of every standstill",
         ),
         (
             anew,
             "unit restarted",
-            "split",
             f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not "
             "counted as missing",
         ),
-        (bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram"),
+        (bad, "unreadable bytes", f"{bad} bytes belong to no valid datagram"),
         (
             sum(part.session.count("not done") for part in parts),
             "refused attempt",
-            "mask",
             "attempts at a step that the run itself did not accept are left out: see the journal for the reasons",
         ),
     )
-    return tuple(Finding(kind, done, count, message) for count, kind, done, message in found if count)
+    return tuple(Finding(kind, message) for count, kind, message in found if count)
 
 
 def _provenance(parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
@@ -352,7 +348,7 @@ def _log_of_recording(
         f"the recording's clock was determined from {by_motion.readings} readings of {by_motion.turns} turns, to "
         f"{unsure_s:.2g} s and {1e6 * clock.rate_std:.2g} ppm (1σ; delays of the table's readings are not included)"
     )
-    findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
+    findings = (*made.findings, Finding("clock determined from the motion", message))
     return replace(made, findings=findings, provenance=provenance)
 
 

@@ -20,7 +20,6 @@ from gradcal_jax.records.log import (
     LogError,
     Reason,
     Whole,
-    intervals_within,
     mean_interval,
     without_masked,
 )
@@ -158,7 +157,7 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         else:
             time = np.arange(columns.rows) / columns.sample_rate_hz
         time, starts = stretches(time, found)
-        interval = mean_interval(time, intervals_within(time, starts))
+        interval = mean_interval(time, starts)
         rates = {name: kept.values[name] / interval for name in columns.increments}
         kept, status = _masked(replace(kept, values=kept.values | rates), time, starts, found)
         for name, value, what in _statistics(kept, time, interval, status == 0):

@@ -16,7 +16,7 @@ import hashlib
 import importlib
 import io
 import warnings
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum, IntFlag
 from pathlib import Path
@@ -158,22 +158,9 @@ class AngleReadings:
 
     __repr__ = summary
 
-    @classmethod
-    def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
-        """The readings of several axes or parts, in order of time."""
-        # (An empty array of the type, for no parts.)
-        arrays: dict[str, Any] = {
-            name: np.concatenate([np.zeros(0, variable.kind), *(getattr(part, name) for part in parts)])
-            for name, variable in variables_of(cls).items()
-        }
-        return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
-
     def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
         """The readings of one table axis (its index), of the `kinds` (default: all)."""
         chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
-        return self._chosen(chosen)
-
-    def _chosen(self, chosen: Bools | Whole) -> "AngleReadings":
         return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
 
@@ -311,7 +298,7 @@ class Log:
     @property
     def sample_interval_s(self) -> float:
         """Mean interval within the stretches, s; the median where no stretch has two rows."""
-        return mean_interval(self.time_s, intervals_within(self.time_s, self.stretch_starts))
+        return mean_interval(self.time_s, self.stretch_starts)
 
     def unit_index(self, unit: str | int) -> int:
         """The number of a unit given by name or number. Raises `LogError`."""
@@ -426,14 +413,8 @@ def _check_shapes(holder: Any, sizes: Mapping[str, int]) -> None:
             raise LogError(f"the {variable.name.replace('_', ' ')} has the shape {array.shape}; {words}")
 
 
-def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
-    """The intervals of stamps (s), without those between two stretches."""
+def mean_interval(time_s: Floats, stretch_starts: Whole) -> float:
+    """The mean interval of stamps within the stretches, s; the median of all where no stretch has two rows."""
     interval = np.diff(time_s)
-    inside = np.ones(len(interval), bool)
-    inside[stretch_starts[1:] - 1] = False
-    return interval[inside]
-
-
-def mean_interval(time_s: Floats, within: Floats) -> float:
-    """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
-    return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
+    within = np.delete(interval, stretch_starts[1:] - 1)
+    return float(within.mean()) if len(within) else float(np.median(interval))

@@ -178,7 +178,8 @@ def _joined(
         count = part.end = count + sum(high - low for low, high in part.ranges)
     rows = compacted(rows, ranges)
     rows["standstill"] = -1
-    readings = list[tuple[AngleReadings, Floats]]()
+    # Of each reading the time since the end of its row, the row, the axis, the angle and the kind.
+    readings = [np.zeros((0, 5))]
     standing, spins = 0, True
     for part in parts:
         own, events = rows[part.first : part.end], part.session.events
@@ -198,14 +199,20 @@ def _joined(
                 standing += 1
         spins = spins and any(course.spins for course in courses)
         for k, course in enumerate(courses):
-            read_in = table_readings(course, k, host, part.sample_s + unsure_s)
-            readings.append((replace(read_in, row=read_in.row + part.first), read_in.time_s - host[read_in.row]))
+            time_s, row, angle, kind = table_readings(course, host, part.sample_s + unsure_s).T
+            since_s = time_s - host[row.astype(np.int64)]
+            readings.append(np.column_stack([since_s, row + part.first, np.full(len(row), k), angle, kind]))
             # (Only where it is kept: arrays of all rows in memory.)
             if spins:
                 own["table_rate"][:, k] = held_rates(course, host)
     _place(rows, parts)
+    since_s, row, axis, angle, kind = np.concatenate(readings).T
+    at, axis, kind = (column.astype(np.int64) for column in (row, axis, kind))
     # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
-    placed = [replace(one, time_s=rows["time_s"][one.row] + since_s) for one, since_s in readings]
+    time_s = rows["time_s"][at] + since_s
+    order = np.argsort(time_s, kind="stable")
+    none = np.full(len(at), np.nan)
+    ordered = AngleReadings(time_s[order], at[order], axis[order], angle[order], none, kind[order])
     has_forces = any(np.isfinite(rows["force"][:, k]).any() for k in range(3))
     return Log(
         time_s=rows["time_s"],
@@ -226,7 +233,7 @@ def _joined(
         simulated=any(part.session.simulated for part in parts),
         specific_force_m_per_s2=rows["force"][None] if has_forces else None,
         force_axes=("x", "y", "z") if has_forces else (),
-        readings=AngleReadings.in_order(placed) if labels else None,
+        readings=ordered if labels else None,
     )
 
 

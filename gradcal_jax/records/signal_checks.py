@@ -43,25 +43,10 @@ _FLAT: Final = 2.2
 _SHOWN: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
 
 
-class Runs(NamedTuple):
-    """Equal values in succession: the first row, the number of rows and the value of each run."""
-
-    begin: Whole
-    length: Whole
-    value: Floats
-
-    @classmethod
-    def of(cls, values: Floats, starts: Whole | None = None) -> "Runs":
-        """The runs of values `(n,)`; a new one begins at `starts`."""
-        changes = np.diff(values, prepend=np.nan) != 0.0
-        if starts is not None:
-            changes[starts] = True
-        begin = np.flatnonzero(changes)
-        return cls(begin, np.diff(begin, append=len(values)), values[begin])
-
-    def rows(self, chosen: Bools) -> Bools:
-        """`(n,)`: whether a row is in one of the `chosen` runs."""
-        return np.repeat(chosen, self.length)
+def _runs(values: Floats) -> tuple[Whole, Floats]:
+    """Equal values in succession: the length and the value of each run."""
+    begin = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    return np.diff(begin, append=len(values)), values[begin]
 
 
 class StepSizes(NamedTuple):
@@ -114,27 +99,30 @@ def coarse_steps(values: Floats) -> StepSizes:
 
 def at_a_limit(values: Floats) -> Bools:
     """`(n,)`: rows at the largest or smallest value of a channel of fine steps, where it is held again and again."""
-    runs = Runs.of(values)
     known = values[np.isfinite(values)]
-    at = np.zeros(len(runs.value), bool)
-    for extreme in (known.max(), known.min()) if len(known) else ():
-        there = runs.value == extreme
-        held = np.count_nonzero(there & (runs.length >= _HELD))
-        middle = np.median(known)
-        far = abs(extreme - middle) > 20.0 * np.median(np.abs(known - middle)) > 0.0
+    if not len(known) or coarse_steps(values).off > 0.0:
+        return np.zeros(len(values), bool)
+    length, value = _runs(values)
+    middle = np.median(known)
+    spread = np.median(np.abs(known - middle))
+    at = np.zeros(len(value), bool)
+    for extreme in (known.max(), known.min()):
+        there = value == extreme
+        held = np.count_nonzero(there & (length >= _HELD))
+        far = abs(extreme - middle) > 20.0 * spread > 0.0
         # (One long run alone is frozen.)
-        if held and (far or (held > 1 and np.sum(runs.length[there]) >= _AT_LIMIT)):
+        if held and (far or (held > 1 and length[there].sum() >= _AT_LIMIT)):
             at |= there
-    return runs.rows(at if at.any() and coarse_steps(values).off == 0.0 else np.zeros(len(at), bool))
+    return np.repeat(at, length)
 
 
 def standing_still(values: Floats) -> Bools:
     """`(n,)`: rows of a channel of fine steps that keep one value for far longer than is usual in it."""
-    runs = Runs.of(values)
-    if len(values) < 2 * _FROZEN or len(runs.length) < 2 or coarse_steps(values).off > 0.0:
+    length, value = _runs(values)
+    if len(values) < 2 * _FROZEN or len(length) < 2 or coarse_steps(values).off > 0.0:
         return np.zeros(len(values), bool)
-    long = runs.length > max(float(_FROZEN), _UNUSUAL * float(np.quantile(runs.length, 0.9)))
-    return runs.rows(long & np.isfinite(runs.value))
+    long = length > max(float(_FROZEN), _UNUSUAL * float(np.quantile(length, 0.9)))
+    return np.repeat(long & np.isfinite(value), length)
 
 
 def outliers(values: Floats, standing: Whole | None) -> Bools:
@@ -185,21 +173,23 @@ def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
     known = np.isfinite(values)
     if not known.any() or np.ptp(values[known]) == 0.0:
         return known & (time_s[-1] - time_s[0] > _FROZEN_S)
-    runs = Runs.of(values, starts)
-    finite = np.isfinite(runs.value)
-    end = np.minimum(runs.begin + runs.length, len(time_s) - 1)
-    lasting = time_s[end] - time_s[runs.begin]
+    changes = np.diff(values, prepend=np.nan) != 0.0
+    changes[starts] = True
+    edges = np.append(np.flatnonzero(changes), len(values))
+    begin, length = edges[:-1], np.diff(edges)
+    finite = known[begin]
+    lasting = np.diff(time_s[edges.clip(max=len(time_s) - 1)])
     usual = float(np.median(lasting[finite]))
-    jump = np.abs(np.diff(runs.value))
+    jump = np.abs(np.diff(values[begin]))
     step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
-    jump[np.isin(runs.begin[1:], starts)] = 0.0
+    jump[np.isin(begin[1:], starts)] = 0.0
     # Behind the last run nothing is: only a thermometer of fine steps, most of whose runs are short, must have moved
     # on.
     before = lasting[:-1]
     short = before <= _UNUSUAL * usual
     fine = usual < 5.0 * float(np.median(np.diff(time_s))) and before[short].sum() > 0.5 * before.sum()
     after = np.append(jump, np.inf if fine else 0.0)
-    return runs.rows(finite & (lasting > max(_FROZEN_S, _UNUSUAL * usual)) & (after > 4.0 * step))
+    return np.repeat(finite & (lasting > max(_FROZEN_S, _UNUSUAL * usual)) & (after > 4.0 * step), length)
 
 
 def jumped_temperature(values: Floats, starts: Whole) -> Bools:

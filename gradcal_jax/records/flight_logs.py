@@ -72,12 +72,10 @@ def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None =
     """
     path = Path(path)
     kind = path.suffix.lower()
-    if path.is_dir() or not path.exists():
-        raise LogError(f"{path} {'is a directory' if path.is_dir() else 'does not exist'}")
-    if kind in _REFUSED:
-        raise LogError(f"{path} {_REFUSED[kind]}")
-    words, reader = _READERS[kind]
     with naming(path):
+        if kind in _REFUSED:
+            raise LogError(_REFUSED[kind])
+        words, reader = _READERS[kind]
         with quietly(words):
             imus = [one for one in reader(path) if one.rows > 1]
         if not imus:

@@ -46,11 +46,17 @@ class LogError(ValueError):
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Generator[None]:
-    """Context that adds the file's name to errors."""
+    """Context in which a file is read: adds its name to errors. Raises `LogError` where there is no file."""
     try:
+        if Path(path).is_dir():
+            raise LogError("is a directory")
+        if not Path(path).exists():
+            raise LogError("does not exist")
         yield
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager

@@ -70,14 +70,10 @@ def read_log(path: str | Path) -> Log:
     """
     path = Path(path)
     with naming(path):
-        if not path.exists():
-            raise LogError("does not exist")
         try:
             dataset = load_netcdf(path)
         except NetcdfError as error:
             raise LogError(f"cannot be read as a netCDF file: {error}") from None
-        except OSError as error:
-            raise LogError(f"cannot be read: {error.strerror or error}") from None
         version = str(dataset.attrs.get("format"))
         if version != FORMAT:
             raise LogError(f'has the format "{version}", and this program reads "{FORMAT}"')

@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from gradcal_jax.calibration import Calibration as Calibration
-from gradcal_jax.calibration import read_calibration as read_calibration
-from gradcal_jax.calibration import write_calibration as write_calibration
 from gradcal_jax.calibration.correction import apply as apply
 from gradcal_jax.calibration.exports import export as export
+from gradcal_jax.calibration.file import Calibration as Calibration
+from gradcal_jax.calibration.file import read_calibration as read_calibration
+from gradcal_jax.calibration.file import write_calibration as write_calibration
 from gradcal_jax.design.optimise import optimise as optimise
 from gradcal_jax.design.plan_limit import limit as limit
 from gradcal_jax.design.recipe_of_plan import make_recipe as make_recipe

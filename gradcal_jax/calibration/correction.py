@@ -11,12 +11,11 @@ Of what a calibration has under [[path]], only what follows dT/dt is subtracted;
 thermometers stay, and are named. Lags begin in equilibrium.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax import formulas
 from gradcal_jax.calibration.file import (
@@ -29,7 +28,7 @@ from gradcal_jax.calibration.file import (
     build_term,
     term_values,
 )
-from gradcal_jax.records.log import Floats, Log, LogError
+from gradcal_jax.records.log import Bools, Floats, Log, LogError
 from gradcal_jax.spec.bases import SplineKeys
 from gradcal_jax.tables.display import summary
 
@@ -59,34 +58,31 @@ class Corrected(NamedTuple):
     __repr__ = summary
 
 
-def maps_of(channel: CalibratedChannel, followed: Floats) -> list[Floats]:
-    """The maps of all terms at these temperatures, `(n, functions of the rate)` each."""
+def error_function(channel: CalibratedChannel, followed: Floats) -> Callable[[Mapping[str, Floats]], Floats]:
+    """The error of a channel's output at these temperatures, `(n,)`, as a function of the true inputs by signal ("rate
+    x" rad/s, "force z" m/s²); an unknown input counts as zero."""
     within = np.clip(followed, *channel.valid_temperature)
-    return [at_temperatures(term, within) for term in channel.term]
+    maps = [(term, at_temperatures(term, within)) for term in channel.term]
 
+    def error(signals: Mapping[str, Floats]) -> Floats:
+        known = [of for of in maps if all(name.strip("|") in signals for name in of[0].signals)]
+        total = np.zeros_like(followed)
+        for term, of_temperature in known:
+            if channel.misaligns(term):
+                total += of_temperature[:, 0] * signals[term.signals[0]]
+        sensed = signals[channel.input] + total
+        signals = {**signals, channel.input: sensed}
+        own = np.clip(sensed, *channel.valid_rate)
+        for term, of_temperature in known:
+            if not channel.misaligns(term):
+                product = at_rates(term, of_temperature, own)
+                for name in term.signals:
+                    signal = signals[name.strip("|")]
+                    product = product * (np.abs(signal) if name.startswith("|") else signal)
+                total += product
+        return total
 
-def channel_error(
-    channel: CalibratedChannel, followed: Floats, signals: Mapping[str, Floats], maps: Sequence[Floats] | None = None
-) -> Floats:
-    """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
-    unknown input counts as zero). `maps`: `maps_of` the channel, where they are known already."""
-    both = zip(channel.term, maps_of(channel, followed) if maps is None else maps, strict=True)
-    known = [(term, of) for term, of in both if all(name.strip("|") in signals for name in term.signals)]
-    total = np.zeros_like(followed)
-    for term, of_temperature in known:
-        if channel.misaligns(term):
-            total += of_temperature[:, 0] * signals[term.signals[0]]
-    sensed = signals[channel.input] + total
-    signals = {**signals, channel.input: sensed}
-    own = np.clip(sensed, *channel.valid_rate)
-    for term, of_temperature in known:
-        if not channel.misaligns(term):
-            product = at_rates(term, of_temperature, own)
-            for name in term.signals:
-                signal = signals[name.strip("|")]
-                product = product * (np.abs(signal) if name.startswith("|") else signal)
-            total += product
-    return total
+    return error
 
 
 def linear_part(
@@ -156,48 +152,44 @@ def _correct(
     measured: Floats,
     slope: Mapping[str, Floats],
 ) -> Floats:
-    middle = float(np.median(np.concatenate([np.clip(of, *c.valid_temperature) for c, of in channels])))
-    inverse = np.linalg.inv(linear_part([c for c, _ in channels], middle, inputs)[0])
-    # The temperature stays as it is from round to round.
-    maps = [maps_of(channel, followed) for channel, followed in channels]
+    middle = float(np.median([np.clip(of, *channel.valid_temperature) for channel, of in channels]))
+    inverse = np.linalg.inv(linear_part([channel for channel, _ in channels], middle, inputs)[0])
+    errors = {inputs.index(channel.input): error_function(channel, of) for channel, of in channels}
     now, change = 0.0 * measured, 0.0 * measured
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_ROUNDS):
             signals = {**dict(zip(inputs, now, strict=True)), **slope}
             left = measured - now
-            for (channel, followed), of in zip(channels, maps, strict=True):
-                left[inputs.index(channel.input)] -= channel_error(channel, followed, signals, of)
-            settled = True
-            for k in range(len(inputs)):
+            for k, error in errors.items():
+                left[k] -= error(signals)
+            for k, row in enumerate(inverse):
                 # Only channels with an effect: a missing reading does not affect the other triad.
-                acts = np.flatnonzero(inverse[k])
-                change[k] = inverse[k, acts] @ left[acts]
-                now[k] += change[k]
-                size = float(np.nanmax(np.abs(now[k]), initial=1e-300))
-                settled &= bool(np.nanmax(np.abs(change[k]), initial=0.0) <= _SETTLED * size)
-            if settled:
+                acts = np.flatnonzero(row)
+                change[k] = row[acts] @ left[acts]
+            now = now + change
+            size = np.nanmax(np.abs(now), axis=1, initial=1e-300)
+            if np.all(np.nanmax(np.abs(change), axis=1, initial=0.0) <= _SETTLED * size):
                 return now
-        for channel, followed in channels:
+        for channel, of in channels:
             k = inputs.index(channel.input)
-            _refuse_or_leave(channel, followed, measured[k], change[k], now[k])
+            now[k, _unsolved(channel, of, measured[k], change[k], now[k])] = np.nan
     return now
 
 
-def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> None:
-    """Set to NaN what has no solution, far beyond what the sensor measures; raise `ValueError` within that."""
-    # Next to a jump of the map (bins) two values may alternate: both are within the jump.
-    bins = any(isinstance(term.rate, SplineKeys) and not term.rate.degree for term in channel.term)
-    if bins or not np.isfinite(measured).any():
-        return
+def _unsolved(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> Bools:
+    """Rows without a solution, far beyond what the sensor measures. Raises `ValueError` for one within that."""
     limit = 2.0 * max(map(abs, channel.valid_rate)) if channel.kind == "gyro" else _LARGEST_FORCE
-    size = np.maximum(np.abs(now), np.nanmedian(np.abs(now)))
+    size = np.maximum(np.abs(now), np.nanmedian(np.abs(now)) if np.isfinite(now).any() else 0.0)
     unsolved = np.isfinite(measured) & ~(np.abs(change) <= _DIVERGED * size)
-    if len(rows := np.flatnonzero(unsolved & (np.abs(measured) <= limit))):
+    # Next to a jump of the map (bins) two values may alternate: both are within the jump.
+    if any(isinstance(term.rate, SplineKeys) and not term.rate.degree for term in channel.term):
+        unsolved[:] = False
+    for row in np.flatnonzero(unsolved & (np.abs(measured) <= limit)):
         raise ValueError(
-            f"the calibration of {channel.label} is too steep to be inverted at {measured[rows[0]]:.4g} (SI), "
-            f"{at[rows[0]]:.4g} degC: is it the calibration of another sensor?"
+            f"the calibration of {channel.label} is too steep to be inverted at {measured[row]:.4g} (SI), "
+            f"{at[row]:.4g} degC: is it the calibration of another sensor?"
         )
-    now[unsolved] = np.nan
+    return unsolved
 
 
 def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
@@ -209,18 +201,14 @@ def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
     return (after - before) / np.maximum(span, np.finfo(np.float64).tiny)
 
 
-def _with_gradient(channel: CalibratedChannel, path: Sequence[PathCoefficient]) -> CalibratedChannel:
+def _with_gradient(channel: CalibratedChannel, gradients: Sequence[PathCoefficient]) -> CalibratedChannel:
     """The channel with what its bias and scale factor add with dT/dt as terms."""
     terms = list(channel.term)
-    for one in path:
-        if one.channel == channel.name and _is_gradient(one):
+    for one in gradients:
+        if one.channel == channel.name:
             own = (channel.input,) if one.unit == _SCALE_BY_SLOPE else ()
             terms.append(build_term(one.name, one.unit, (TEMPERATURE_RATE, *own), {one.name: one.value}))
     return channel.model_copy(update={"term": tuple(terms)})
-
-
-def _is_gradient(one: PathCoefficient) -> bool:
-    return one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not one.own
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
@@ -236,16 +224,16 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     """
     number = log.unit_index(unit)
     usable, columns = log.usable(number), log.channels(number)
-    channels = [_with_gradient(channel, calibration.path) for channel in _common(calibration, columns)]
+    gradients = [one for one in calibration.path if one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not one.own]
+    channels = [_with_gradient(channel, gradients) for channel in _common(calibration, columns)]
     terms = [term for channel in channels for term in channel.term]
     slopes = any(TEMPERATURE_RATE in term.signals for term in terms)
-    temperature, slope = log.bridged_temperature(number), None
+    temperature = log.bridged_temperature(number)
     if temperature is None:
         if slopes or any(term.temperature is not None and term.temperature.size > 1 for term in terms):
             raise LogError(f"the log has no temperature of IMU {log.units[number]}, but the calibration needs it")
         temperature = np.full(len(log.time_s), float(channels[0].valid_temperature[0]))
-    if slopes:
-        slope = temperature_slope(temperature, log.time_s)
+    slope = temperature_slope(temperature, log.time_s) if slopes else None
     lags = [float(channel.thermal_lag or 0.0) for channel in channels]
     followed = [formulas.followed(temperature, log.time_s, log.stretch_starts, lag) for lag in lags]
     readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
@@ -257,19 +245,14 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
             outside_rate += int(np.sum(_outside(corrected[channel.input], channel.valid_rate) & usable))
     done = {channel.label: corrected[channel.input] for channel in channels}
     names = {channel.name for channel in channels}
-    return Corrected(
-        replace(
-            _of_unit(log, number, {**columns, **done}),
-            simulated=log.simulated or calibration.simulated,
-            provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
-        ),
-        int(np.count_nonzero(beyond & usable)),
-        outside_rate,
-        tuple(label for label in columns if label not in done),
-        tuple(
-            f"{one.channel}.{one.name}" for one in calibration.path if one.channel in names and not _is_gradient(one)
-        ),
+    left_in = [f"{one.channel}.{one.name}" for one in calibration.path if one.channel in names and one not in gradients]
+    result = replace(
+        _of_unit(log, number, {**columns, **done}),
+        simulated=log.simulated or calibration.simulated,
+        provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
     )
+    left_alone = tuple(label for label in columns if label not in done)
+    return Corrected(result, int(np.sum(beyond & usable)), outside_rate, left_alone, tuple(left_in))
 
 
 def _of_unit(log: Log, number: int, channels: Mapping[str, Floats]) -> Log:
@@ -307,7 +290,7 @@ def _common(calibration: Calibration, channels: Mapping[str, Floats]) -> list[Ca
     return common
 
 
-def _outside(values: Floats, bounds: tuple[float, float]) -> NDArray[np.bool_]:
+def _outside(values: Floats, bounds: tuple[float, float]) -> Bools:
     low, high = bounds
     slack = 1e-9 * max(abs(low), abs(high))
     return (values < low - slack) | (values > high + slack)

@@ -155,25 +155,20 @@ def _rows(calibration: Calibration) -> list[dict[str, str]]:
     return rows
 
 
-def _shipped(name: str, *, at_one_temperature: bool = True) -> Callable[[Calibration, ExportOptions], Target]:
-    """The target of a template that comes with the program."""
-
-    def filled(calibration: Calibration, options: ExportOptions) -> Target:
-        template = presets.template(f"export-{name}.j2")
-        if not at_one_temperature:
-            return _template(calibration, options._replace(template=template, temperature_c=None))._replace(notes=())
-        if options.temperature_c is None:
-            raise ValueError(f"{name} is for one temperature: state this temperature with --temperature")
-        return _template(calibration, options._replace(template=template))
-
-    return filled
+def _shipped(name: str, calibration: Calibration, options: ExportOptions) -> Target:
+    """The target of a template that comes with the program: all but csv are of one temperature."""
+    options = options._replace(template=presets.template(f"export-{name}.j2"))
+    if name == "csv":
+        return _template(calibration, options._replace(temperature_c=None))._replace(notes=())
+    if options.temperature_c is None:
+        raise ValueError(f"{name} is for one temperature: state this temperature with --temperature")
+    return _template(calibration, options)
 
 
 FORMATS: Final[Mapping[str, Callable[[Calibration, ExportOptions], Target]]] = {
     "ardupilot": ardupilot,
     "px4": px4,
     "c-header": c_header,
-    **{name: _shipped(name) for name in ("kalibr", "matrices", "gains", "tracker", "ins")},
-    "csv": _shipped("csv", at_one_temperature=False),
+    **{name: partial(_shipped, name) for name in ("kalibr", "matrices", "gains", "tracker", "ins", "csv")},
     "template": _template,
 }

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.calibration.correction import SIGNALS, channel_error
+from gradcal_jax.calibration.correction import SIGNALS, error_function
 from gradcal_jax.calibration.file import TEMPERATURE_RATE, Calibration
 from gradcal_jax.records.log import Floats
 from gradcal_jax.units import DEG_PER_H, PPM, G
@@ -104,5 +104,5 @@ def readings(
     signals = dict(zip(inputs, true.T, strict=True)) | {TEMPERATURE_RATE: np.full(len(true), slope)}
     for channel in calibration.channel:
         own = temperature_c - slope * float(channel.thermal_lag or 0.0)
-        raw[:, inputs.index(channel.input)] += channel_error(channel, own, signals)
+        raw[:, inputs.index(channel.input)] += error_function(channel, own)(signals)
     return raw

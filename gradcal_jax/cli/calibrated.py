@@ -44,8 +44,8 @@ def apply(
     json
         Print the name of the corrected log, and the number of rows outside the range of the calibration, as JSON.
     """
-    from gradcal_jax.calibration import read_calibration
     from gradcal_jax.calibration.correction import apply as correct
+    from gradcal_jax.calibration.file import read_calibration
     from gradcal_jax.records.log_file import write_log
 
     content = read_calibration(calibration)
@@ -91,7 +91,7 @@ def validate(
     gravity
         Local gravity, such as "9.8123 m/s^2", for accelerometers; by default standard gravity.
     """
-    from gradcal_jax.calibration import read_calibration
+    from gradcal_jax.calibration.file import read_calibration
 
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     weight = G if gravity is None else quantity(gravity, "acceleration", "--gravity")
@@ -147,7 +147,8 @@ def export(
     json
         Print the text, the losses and the notes as JSON.
     """
-    from gradcal_jax.calibration import exports, read_calibration
+    from gradcal_jax.calibration import exports
+    from gradcal_jax.calibration.file import read_calibration
     from gradcal_jax.tables.document import read_text
     from gradcal_jax.tables.writing import write_whole
 

@@ -13,7 +13,7 @@ from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.recordings import Columns, LogFile, described, load, load_all, quantity
 
 if TYPE_CHECKING:
-    from gradcal_jax.calibration import Calibration
+    from gradcal_jax.calibration.file import Calibration
     from gradcal_jax.estimation.estimate import SensorEstimate
     from gradcal_jax.estimation.hand_estimate import HandReport
     from gradcal_jax.records.log import Log
@@ -63,7 +63,7 @@ def estimate(
     temperature
         The temperature, if the log has none, such as "23 degC".
     """
-    from gradcal_jax.calibration import write_calibration
+    from gradcal_jax.calibration.file import write_calibration
     from gradcal_jax.recipe.recipe import spec_in
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")

@@ -24,10 +24,11 @@ from gradcal_jax.design.slots import SHAPE, CycleCoordinates, Decoded, Structure
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.imu_rows import Segments
-from gradcal_jax.model.build import BuiltImu, chamber_programme, course_before, fineness, geometry
+from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.motion import Programme, Schedule, TableMotion, body_nodes, gradient_plan, rest, turn
 from gradcal_jax.motion import programme as programme_of
+from gradcal_jax.motion.plan_motion import chamber_programme, course_before, fineness, geometry
 from gradcal_jax.motion.table_motion import nodes_of_turn
 from gradcal_jax.spec.schedule import PlanSchedule
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax.calibration import (
+from gradcal_jax.calibration.file import (
     FORMAT,
     FRAME_OF_CASE,
     ORDER,

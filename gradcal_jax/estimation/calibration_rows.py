@@ -5,7 +5,7 @@ from math import sqrt
 from typing import Any
 
 import gradcal_jax
-from gradcal_jax.calibration import LOG_HASH, Calibration, FitTest, Result, UnseenError
+from gradcal_jax.calibration.file import LOG_HASH, Calibration, FitTest, Result, UnseenError
 from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad

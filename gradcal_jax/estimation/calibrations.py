@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.calibration import CalibratedChannel, Calibration
+from gradcal_jax.calibration.file import CalibratedChannel, Calibration
 from gradcal_jax.information import Posterior
 from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.model import ImuModel

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.calibration import Calibration
+from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.estimation import Consistency, ExecutedImu, ImuEstimate, Test
 from gradcal_jax.estimation.added_columns import Whitener, added_tests, halves_test
 from gradcal_jax.estimation.calibration_of_fit import Range, calibration_of

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from gradcal_jax import estimation
 from gradcal_jax.calibration.correction import correct_triads
@@ -24,7 +25,8 @@ from gradcal_jax.estimation.lag_of_maps import Fit, Lag, LateTemperatures, fit_w
 from gradcal_jax.estimation.log_rows import read_by_events
 from gradcal_jax.information.plan_sentences import prior_deviations
 from gradcal_jax.model import AXIS_NAMES
-from gradcal_jax.model.build import BuiltImu, course_before
+from gradcal_jax.model.build import BuiltImu
+from gradcal_jax.motion.plan_motion import course_before
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.plan import StandardPlan
@@ -41,6 +43,8 @@ _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 _STANDS, _LINEARISED = 2e-6, 24
 # The last step of the first fit, in standard deviations: the second one begins there.
 _COARSE = 0.1
+# Of rows at rest, one in so many is corrected by itself.
+_EACH = 32
 # The linearisation from which on half of the change is taken: with a large azimuth the whole of it may oscillate.
 _HALF_FROM = 6
 
@@ -125,9 +129,11 @@ def _corrected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (rad/s) and specific forces (m/s²) `(n, 3)` corrected by an estimate."""
     held = tuple(calibrated_channels(built, built.model.to_reported @ parameters, _EVERYWHERE))
-    # (Other rows are more than half of a run's log.)
-    rates, felt, used = rows.rates.copy(), rows.force.copy(), rows.usable
-    rates[used], felt[used] = correct_triads(held, rates[used], felt[used], temperature[used])
+    # (At rest a correction changes with the temperature alone, and most rows of a run's log are at rest.)
+    still = minimum_filter1d(rows.standing, 2 * _EACH)
+    at = np.flatnonzero(rows.usable & ~(still & (np.arange(len(still)) % _EACH > 0)))
+    true = correct_triads(held, rows.rates[at], rows.force[at], temperature[at])
+    rates, felt = (_between(of, at, done) for of, done in zip((rows.rates, rows.force), true, strict=True))
     # Where no accelerometer is, nothing tells what a move adds to gravity.
     felt = np.where([any(c.input == f"force {a}" for c in held) for a in AXIS_NAMES], felt, np.nan)
     # Data that hardly determine a map give one that no gyro has, which corrects nothing.
@@ -135,6 +141,12 @@ def _corrected(
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=known)
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=known)
     return np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates), felt
+
+
+def _between(measured: np.ndarray, at: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Values of all rows `(n, 3)`, with the corrections of the rows `at` and what lies between these."""
+    change, every = true - measured[at], np.arange(len(measured))
+    return measured + np.stack([np.interp(every, at, of) for of in change.T], axis=1)
 
 
 def _pass(built: BuiltImu, name: str, rows: ImuRows, temperature: np.ndarray, before: Fit | None) -> Fit:

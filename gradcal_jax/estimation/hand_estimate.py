@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.calibration import (
+from gradcal_jax.calibration.file import (
     FORMAT,
     ORDER,
     CalibratedChannel,

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, correction
+from gradcal_jax.calibration import correction
+from gradcal_jax.calibration.file import LOG_HASH, TEMPERATURE_RATE, Calibration
 from gradcal_jax.estimation.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.motion import EARTH_RATE
 from gradcal_jax.records.log import Log, LogError

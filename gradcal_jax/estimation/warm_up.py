@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
 
 from gradcal_jax import units as unit_of
-from gradcal_jax.calibration import (
+from gradcal_jax.calibration.file import (
     FORMAT,
     ORDER,
     CalibratedChannel,

@@ -11,7 +11,7 @@ from math import sqrt
 from typing import Final
 
 import gradcal_jax
-from gradcal_jax.calibration import LOG_HASH, Calibration
+from gradcal_jax.calibration.file import LOG_HASH, Calibration
 from gradcal_jax.information.prediction import counted_shares
 from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gradcal_jax import plots
-from gradcal_jax.calibration import Calibration
+from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.information.verdicts import target_of
 from gradcal_jax.pages.history import RunHistory
 from gradcal_jax.pages.residuals import ResidualLeft

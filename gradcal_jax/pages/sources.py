@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.calibration import Calibration, is_calibration, read_calibration
+from gradcal_jax.calibration.file import Calibration, is_calibration, read_calibration
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.recipe.recipe import Recipe, is_recipe, recipe_of
 from gradcal_jax.spec.places import places_of, specs_at_places

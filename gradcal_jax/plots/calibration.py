@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gradcal_jax.calibration import CalibratedChannel, Calibration
+from gradcal_jax.calibration.file import CalibratedChannel, Calibration
 from gradcal_jax.estimation.calibrations import calibration_map, grid_of
 from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, Final, cast
+from typing import Any, Final, cast, get_args
 
 from pydantic.json_schema import GenerateJsonSchema
 
@@ -19,12 +19,10 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "text": ("hardware.text_unit", "TextSensor"),
     "prediction": ("tables.contracts", "Prediction"),
     "columns": ("records.column_map", "ColumnMap"),
-    "calibration": ("calibration", "Calibration"),
+    "calibration": ("calibration.file", "Calibration"),
     "recipe": ("recipe.recipe", "Recipe"),
     "sweep": ("sweeps.sweep_file", "SweepFile"),
 }
-# Versions other than 1.
-_VERSIONS: Final[Mapping[str, str]] = {"calibration": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -51,4 +49,5 @@ def schema(name: str) -> dict[str, Any]:
     module, model = _MODELS[name]
     section = cast("type[Section]", getattr(import_module(f"gradcal_jax.{module}"), model))
     body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
-    return {"$schema": _DIALECT, "$id": f"gradcal-{name}/{_VERSIONS.get(name, '1')}", **body}
+    (version,) = get_args(section.model_fields["format"].annotation)
+    return {"$schema": _DIALECT, "$id": version, **body}

@@ -13,10 +13,10 @@ from calibration_samples import SPLINE_T, G, a_truth, axis, calibration_of, gyro
 from calibration_samples import WHOLE as CALIBRATION
 from controllers import TAKEN_OFF, parameters_of
 
-from gradcal_jax.calibration import Calibration
 from gradcal_jax.calibration.c_header import Header
 from gradcal_jax.calibration.correction import correct, term_values
 from gradcal_jax.calibration.exports import FORMATS, export, linear_at
+from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.spec import presets
 
 DEG_PER_H = np.degrees(1.0) * 3600.0
@@ -150,7 +150,7 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     assert ran.returncode == 0, "the header's own self-test failed"
     out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
     rounds = int(re.search(r"round < (\d+)", done.text)[1])
-    assert largest(out - header.corrected(said, temperature, rounds)[0]) < 1e-5
+    assert largest(out - header.corrected(said, temperature, rounds)) < 1e-5
     exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
     for channel in calibration.channel:
         off = largest(out[:, inputs.index(channel.input)] - exact[channel.input])
@@ -211,7 +211,7 @@ def test_the_header_takes_the_rounds_that_large_errors_need():
     assert int(re.search(r"round < (\d+)", done.text)[1]) > 6
     assert loss(done, "gyro x", "at rest") < 0.2
     truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
-    last, _ = Header(large).corrected(gyro(large, truth, at)[:, None], at, 12)
+    last = Header(large).corrected(gyro(large, truth, at)[:, None], at, 12)
     assert largest(last[:, 0] - truth) < 2e-6
 
 

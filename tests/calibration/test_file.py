@@ -9,7 +9,7 @@ from calibration_samples import a_truth, axis, calibration_of, of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.calibration import Calibration, parse_calibration, read_calibration, write_calibration
+from gradcal_jax.calibration.file import Calibration, parse_calibration, read_calibration, write_calibration
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.schemas import schema
 from gradcal_jax.tables.writing import to_toml

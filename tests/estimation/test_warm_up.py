@@ -10,8 +10,7 @@ from scipy.stats import chi2
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
 from warm_ups import DEG_PER_H, MICRO_G, accelerometers, gyros, output, warm_up, warming
 
-from gradcal_jax.calibration import read_calibration
-from gradcal_jax.calibration.file import term_values
+from gradcal_jax.calibration.file import read_calibration, term_values
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows

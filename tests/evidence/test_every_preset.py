@@ -18,10 +18,17 @@ from gradcal_jax.spec import presets
 
 ROOT = Path(__file__).parents[2]
 PRESETS = presets.names()
+_KNOWN = [tomllib.loads(presets.text(name)) for name in PRESETS]
+
+
+def _is_own_plan(path: Path) -> bool:
+    """Whether a file is a spec or a recipe, and none of the presets in other words."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    return table.get("format") in ("gradcal-spec/1", "gradcal-recipe/1") and table not in _KNOWN
+
+
 EXPERIMENTS = tuple(
-    str(path.relative_to(ROOT))
-    for path in sorted((ROOT / "experiments").rglob("*.toml"))
-    if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
+    str(path.relative_to(ROOT)) for path in sorted((ROOT / "experiments").rglob("*.toml")) if _is_own_plan(path)
 )
 ALL = (*PRESETS, *EXPERIMENTS)
 # In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of

@@ -9,7 +9,7 @@ from hardware_evidence import record
 from imu_bench import hidden_truth
 from scipy.stats import chi2
 
-from gradcal_jax.calibration import read_calibration
+from gradcal_jax.calibration.file import read_calibration
 from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.spec import presets
 

@@ -7,7 +7,7 @@ from imu_bench import made, short
 from scipy.stats import chi2
 from test_end_to_end import distance
 
-from gradcal_jax.calibration import read_calibration
+from gradcal_jax.calibration.file import read_calibration
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware import execute

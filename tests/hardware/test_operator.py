@@ -119,7 +119,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
     axis.move_to(90.0, 30.0, 10.0)
     # Somebody misread the mark by ten degrees, says so twice, and is believed.
     clock.sleep(2.0)
-    plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5)
+    plant.move_to(clock.now() + 20.0, 80.0, 30.0, 200.0)
     person.answers_s = clock.now() + 25.0
     assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
     assert "differs by 10 deg from 90 deg; correct the angle, or type it again to confirm:" in person.heard[-1]
@@ -372,7 +372,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path):
         terminal.expect_exact("expected an angle such as '0.05 deg'. Type the angle that its scale shows: ")
         terminal.send("0.02 deg\n")
         terminal.expect_exact(f"\ax: turn by +360 deg in 6 s, to 360 deg; {ASKS}")
-        plant.turn_by_hand(time.monotonic(), 360.4, 1.0)
+        plant.move_to(time.monotonic(), 360.4, 480.0, 1900.0)
         time.sleep(1.2)
         terminal.send("0.3")
         # Nothing is drawn over what somebody is typing.

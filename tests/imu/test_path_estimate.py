@@ -8,10 +8,15 @@ import pytest
 from loop_laws import draw_with_loops
 from loop_scene import WIDTHS, recorded, spec_of
 
-from gradcal_jax.calibration import read_calibration, write_calibration
 from gradcal_jax.calibration.correction import apply, temperature_slope
 from gradcal_jax.calibration.exports import export
-from gradcal_jax.calibration.file import CalibratedChannel, PathCoefficient, build_term
+from gradcal_jax.calibration.file import (
+    CalibratedChannel,
+    PathCoefficient,
+    build_term,
+    read_calibration,
+    write_calibration,
+)
 from gradcal_jax.cli.estimate import text_of_estimate
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.hardware.simulate.imu import ImuTruth

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from gradcal_jax.calibration import parse_calibration
 from gradcal_jax.calibration.correction import apply
 from gradcal_jax.calibration.exports import export
+from gradcal_jax.calibration.file import parse_calibration
 from gradcal_jax.estimation.log_flow import estimate as estimate_log
 from gradcal_jax.information.prediction import counted_shares, predict
 from gradcal_jax.information.sensitivity import sensitivity

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gradcal_jax.calibration import FORMAT, ORDER, Calibration
+from gradcal_jax.calibration.file import FORMAT, ORDER, Calibration
 from gradcal_jax.design.recipe_of_plan import make_recipe
 from gradcal_jax.hardware import execute
 from gradcal_jax.recipe.recipe import Recipe

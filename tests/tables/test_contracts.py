@@ -16,7 +16,7 @@ from gradcal_jax.tables.schemas import schema, schema_names
 def test_schemas_are_valid_and_closed(name):
     found = schema(name)
     jsonschema.Draft202012Validator.check_schema(found)
-    version = {"calibration": 2}.get(name, 1)
+    version = {"calibration": 3}.get(name, 1)
     assert found["$id"] == f"gradcal-{name}/{version}"
     assert found["additionalProperties"] is False
     assert json.loads(json.dumps(found)) == found

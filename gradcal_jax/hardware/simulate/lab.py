@@ -29,7 +29,7 @@ from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
 from gradcal_jax.hardware.frames import FrameDecoder
 from gradcal_jax.hardware.setup import Bench
 from gradcal_jax.hardware.simulate.draws import draw_places, draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import SampledSensor, SensorSamples, SimulatedImu
+from gradcal_jax.hardware.simulate.imu import SensorSamples, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 from gradcal_jax.recipe.tracks import read_at_rest, tracks_of
 from gradcal_jax.spec.bench import TableAxis
@@ -41,34 +41,30 @@ RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # The unit sends the frames of the description "stim300": their first byte and their checksum.
 _IDENTIFIER: Final = 0xA5
 _CRC: Final = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
-_LATENCY_US: Final = 506
 
 
 def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.uint8]:
     """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
-    rows = np.zeros((samples.time_s.shape[0], 42), np.uint8)
+    rows = np.zeros((len(samples.time_s), 42), np.uint8)
     rows[:, 0] = _IDENTIFIER
-    gyro = samples.rate_dps * 2.0**14
-    _put(rows, 1, 3, gyro)
+    rows[:, 1:10] = _integers(samples.rate_dps * 2.0**14, 3)
     # Status bit 4 and the channel's bit where a rate is beyond the 24 bits.
-    beyond = ((np.abs(gyro) >= 2**23 - 1) * np.array([1, 2, 4])).sum(axis=1)
+    beyond = (np.abs(samples.rate_dps) >= 512.0 - 2.0**-14) @ np.array([1, 2, 4])
     rows[:, 10] = np.where(beyond, 0x10 | beyond, 0)
-    _put(rows, 11, 3, samples.acceleration_g * 2.0**19)
-    for at in (21, 28):
-        _put(rows, at, 2, samples.temperature_c[:, None] * 256.0)
+    rows[:, 11:20] = _integers(samples.acceleration_g * 2.0**19, 3)
+    rows[:, 21:27] = np.tile(_integers(samples.temperature_c[:, None] * 256.0, 2), 3)
     rows[:, 35] = (first + 1 + np.arange(len(rows))) * round(2000.0 / rate_hz) % 256
-    rows[:, 36:38] = divmod(_LATENCY_US, 256)
     rows[:, 38:] = _CRC(rows[:, :38]).astype(">u4")[:, None].view(np.uint8)
     return rows
 
 
-def _put(rows: NDArray[np.uint8], at: int, size: int, values: NDArray[np.float64]) -> None:
-    """Write (n, 3) or (n, 1) numbers as three big-endian integers of a size in bytes, clipped to their range."""
+def _integers(values: NDArray[np.float64], size: int) -> NDArray[np.uint8]:
+    """The bytes of numbers `(n, k) -> (n, k · size)` as big-endian integers, clipped to their range."""
+    most = 2.0 ** (8 * size - 1)
     # A sensor that the unit lacks has no number: zero.
-    most = 2 ** (8 * size - 1)
-    whole = np.clip(np.rint(np.nan_to_num(values)), -most, most - 1).astype(">i4")
-    parts = np.repeat(whole, 3 // whole.shape[1], axis=1).view(np.uint8).reshape(-1, 3, 4)
-    rows[:, at : at + 3 * size] = parts[:, :, 4 - size :].reshape(-1, 3 * size)
+    known = np.where(np.isnan(values), 0.0, values)
+    whole = np.rint(np.minimum(np.maximum(known, -most), most - 1.0)).astype(">i4", order="C")
+    return whole.view(np.uint8).reshape(len(whole), -1, 4)[:, :, 4 - size :].reshape(len(whole), -1)
 
 
 _HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
@@ -96,13 +92,14 @@ class SimulatedChamber(ChamberDriver):
         return self._limits
 
     def read(self) -> roles.ChamberReading:
-        now, plant = self._clock.now(), self.plant
-        mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c(now), 1)
-        return roles.ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
+        now = self._clock.now()
+        plant = self.plant.at(now)
+        mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c, 1)
+        return roles.ChamberReading(now, air_c, None, plant.set_point_c, mode, plant.conditioning, self.alarms)
 
     def hold(self, temperature_c: float) -> None:
         self.set_point(temperature_c)
-        self.plant.switch(self._clock.now(), True)
+        self.plant.conditioning = True
 
     def set_point(self, temperature_c: float) -> None:
         self._check(temperature_c)
@@ -110,15 +107,16 @@ class SimulatedChamber(ChamberDriver):
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         self._check(temperature_c)
-        now, plant = self._clock.now(), self.plant
-        if not plant.conditioning or abs(plant.set_point_c(now) - plant.air_c(now)) >= 2.0:
-            plant.move_set_point(now, plant.air_c(now))
+        now = self._clock.now()
+        plant = self.plant.at(now)
+        if not plant.conditioning or abs(plant.set_point_c - plant.air_c) >= 2.0:
+            plant.set_point_c = plant.air_c
         plant.command(now, target_c=round(temperature_c, 1), gradient_k_per_min=rate_k_per_min)
-        plant.switch(now, True)
+        plant.conditioning = True
         return rate_k_per_min
 
     def standby(self) -> None:
-        self.plant.switch(self._clock.now(), False)
+        self.plant.at(self._clock.now()).conditioning = False
 
 
 class SimulatedAxis(roles.MotionAxis):
@@ -249,14 +247,17 @@ class SimulatedPerson:
 
     def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
         miss = self.hand.miss_deg * float(self._random.standard_normal())
-        self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s)
+        plant = self._plants[name]
+        # The ramps at both ends are a quarter of the time each.
+        rate_dps = max(abs(goal_deg + miss - plant.state(begins_s)[0]), 1e-9) / (0.75 * lasts_s)
+        plant.move_to(begins_s, goal_deg + miss, rate_dps, rate_dps / (0.25 * lasts_s))
         self._axis, self.answers_s = name, begins_s + lasts_s + self.hand.reading_s
 
 
 class SimulatedStream:
     """Role `ImuStream`: a unit of the driver "frames" whose bytes reach the computer every `burst_s`."""
 
-    def __init__(self, sensor: SampledSensor, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
+    def __init__(self, sensor: SimulatedImu, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
         self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
         self.serial = serial
         self._rate_hz = float(config.described.rate)

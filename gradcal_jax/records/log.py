@@ -166,8 +166,11 @@ class AngleReadings:
 
     def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
         """The readings of one table axis (its index), of the `kinds` (default: all)."""
-        chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
-        return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+        return self.chosen((self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True))
+
+    def chosen(self, rows: Bools) -> "AngleReadings":
+        """Some of the readings."""
+        return AngleReadings(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
 
 class Finding(NamedTuple):

@@ -12,7 +12,7 @@ from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, ImuModel, OwnTerm, Term
-from gradcal_jax.model.build import BuiltImu, build_imu
+from gradcal_jax.model.build import ROTATION, BuiltImu, build_imu
 from gradcal_jax.motion import frames
 from gradcal_jax.spec.absent import minutes_of_change
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement
@@ -75,8 +75,8 @@ def _stays(model: ImuModel, known: Posterior) -> np.ndarray:
 
 
 def unobserved_parameters(model: ImuModel, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
-    state at the beginning left out."""
+    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure, of the state
+    at the beginning, and of a lever arm in rotation (no requirement needs them) left out."""
     return [f"{c.name}.{name}" for c, _, name in _unobserved_of(model, known)]
 
 
@@ -85,8 +85,9 @@ def _unobserved_of(model: ImuModel, known: Posterior) -> Iterator[tuple[Channel,
     for c in model.channels:
         for term in c.terms:
             nuisances = term.nuisances if isinstance(term, OwnTerm) else []
+            left_out = isinstance(term, Discrepancy) or term.name.startswith(ROTATION)
             for name, same in zip(term.names(), stays, strict=False):
-                if same and not isinstance(term, Discrepancy) and name not in nuisances:
+                if same and not left_out and name not in nuisances:
                     yield c, term, name
 
 
@@ -125,8 +126,9 @@ def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
 
 
 def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
-    """What a temperature that does not return leaves of every hysteresis, and the shortest return that observes it."""
-    model, sentences = built.model, list[str]()
+    """What a temperature that does not return leaves of the hystereses, and the shortest return that observes them: one
+    sentence, or none."""
+    model, remain, back = built.model, dict[str, list[str]](), 0.0
     for c in model.channels:
         for words, of_scale in (("bias", False), ("scale factor", True)):
             plays = [t for t in c.terms if isinstance(t, Hysteresis) and bool(t.signals) == of_scale]
@@ -136,16 +138,18 @@ def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
             for play in plays:
                 row[0, model.where(c.kind, c.axis, play.name).start] = float(play.width)
             after, before = float(known.deviations(row)[0]), float(prior_deviations(model, row)[0])
-            if after <= _HARDLY_SEEN * before:
-                continue
-            unit, factor = UNITS_OF_TERMS[plays[0].unit.removesuffix("/K")]
-            back = 2.0 * max(float(play.width) for play in plays)
-            sentences.append(
-                f"hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the {words} of "
-                f"{c.kind} {AXIS_NAMES[c.axis]}: change the temperature back by {back:g} K or "
-                f"more{minutes_of_change(built.spec, back)}"
-            )
-    return sentences
+            if after > _HARDLY_SEEN * before:
+                unit, factor = UNITS_OF_TERMS[plays[0].unit.removesuffix("/K")]
+                size = f"±{after * factor:.3g} {unit} in the {words} of"
+                remain.setdefault(size, []).append(f"{c.kind} {AXIS_NAMES[c.axis]}")
+                back = max(back, *(2.0 * float(play.width) for play in plays))
+    if not remain:
+        return []
+    sizes = "; ".join(f"{size} {', '.join(channels)}" for size, channels in remain.items())
+    return [
+        f"hysteresis is not observable: {sizes} remain; change the temperature back by {back:g} K or "
+        f"more{minutes_of_change(built.spec, back)}"
+    ]
 
 
 def _fastest(built: BuiltImu) -> np.ndarray:

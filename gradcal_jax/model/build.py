@@ -93,7 +93,9 @@ def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
         )
     if too := too_large(spec):
         raise MemoryError(too)
-    model, sources = _model_and_sources(spec.sensor, spec.rig, _has_common_clock(spec), known_terms())
+    # (Sections are frozen.)
+    of = spec.sensor, spec.rig, _has_common_clock(spec), known_terms()
+    model, sources = _model_and_sources(*of)  # pyright: ignore[reportArgumentType]
     bases = [term.whole.temperature for term in model.terms if isinstance(term, Map)]
     # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) and not isinstance(t, Hysteresis | ProductTerm) for t in model.terms)
@@ -324,7 +326,7 @@ def basis(section) -> Basis:
     """A basis of the core from its section of a spec."""
     if isinstance(section, PolynomialKeys):
         return Polynomial(section.degree, float(section.centre), float(section.scale))
-    return BSpline(tuple(float(k) for k in section.knots), section.degree)
+    return BSpline(knots=tuple(float(k) for k in section.knots), degree=section.degree)
 
 
 def or_infinite(value: float | tuple[float, ...] | None) -> np.ndarray:

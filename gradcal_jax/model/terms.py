@@ -213,7 +213,8 @@ def make_map(
 
     Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
     """
-    of = Map(temperature or CONSTANT, rate or CONSTANT, by_rate=rate is not None, **named)
+    bases = {"temperature": temperature or CONSTANT, "rate": rate or CONSTANT}
+    of = Map(**bases, by_rate=rate is not None, **named)
     if discrepancy is None:
         return of
     if not (isinstance(of.temperature, Polynomial) and isinstance(of.rate, Polynomial)):
@@ -228,7 +229,8 @@ def make_map(
         raise ValueError("the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing")
     whole = replace(of, temperature=raised[0], rate=raised[1])
     where = tuple(np.flatnonzero(beyond).tolist())
-    return replace(of, beyond=Discrepancy(whole, np.asarray(std), where, DISCREPANCY.format(of.name), of.unit))
+    name = DISCREPANCY.format(of.name)
+    return replace(of, beyond=Discrepancy(whole=whole, std=np.asarray(std), where=where, name=name, unit=of.unit))
 
 
 def _prior_with_common(

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.hardware.simulate.imu import ImuTruth, Loop, Vectors
+from gradcal_jax.hardware.simulate.imu import ImuTruth, Loop
+from gradcal_jax.hardware.simulate.plants import Floats
 from gradcal_jax.spec.spec_sections import Spec
 
 _RELAYS = 1500
@@ -52,7 +53,7 @@ def _relays(truth: LoopTruth, temperature_c: float) -> Loop:
         # A heating leg is behind, so that it is lower: the sign is that of heating less cooling.
         return slope * (last_c - centre) - float(weight @ np.where(on, 1.0, -1.0))
 
-    def shape(temperatures_c: Vectors, period_s: float) -> Vectors:
+    def shape(temperatures_c: Floats, period_s: float) -> Floats:
         nonlocal on, last_c
         places, values = [-1], [output()]
         for k, t in enumerate(temperatures_c.tolist()):

@@ -22,6 +22,7 @@ from gradcal_jax.spec.bases import SplineKeys
 
 Floats32 = NDArray[np.float32]
 _F = np.float32
+_polyval: Any = polyval  # (its types are for other shapes)
 _POINTS = 200
 # Rounds of a header, and the change, as a share of the largest value, at which they end.
 _FEWEST, _MOST, _SETTLED = 6, 40, 3e-7
@@ -83,7 +84,7 @@ class Header:
                 low, high, slow, fast = self.ranges[of]
                 x = (np.clip(temperature, low, high) - t0) * t1
                 w = (np.clip(along[:, of], slow, fast) - w0) * w1
-                value: Any = polyval(x, polyval(w, table.T), tensor=False)
+                value = _polyval(x, _polyval(w, table.T), tensor=False)
                 for number in factors:
                     k = abs(number) - 1
                     signal = (along if k == of else out)[:, k]

@@ -33,8 +33,9 @@ from gradcal_jax.information.residual import residual_map, residual_of, statisti
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
-from gradcal_jax.model.build import build_imu, chamber_programme
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import EARTH_RATE, Programme
+from gradcal_jax.motion.plan_motion import chamber_programme
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import PlanSchedule

@@ -13,8 +13,9 @@ from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.information.residual import Residual, residual_map, residual_of
 from gradcal_jax.information.unseen import own_of_imu, posterior_and_answers, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF, finite, limit_of
-from gradcal_jax.model.build import build_imu, hung_alike
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.design import ALL, WORST, Design
+from gradcal_jax.spec.places import hung_alike
 from gradcal_jax.spec.spec_sections import Spec
 
 EXCESS: Final = 10.0

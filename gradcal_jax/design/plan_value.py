@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, taken
 from gradcal_jax.design.course import ProgrammeCoordinates
 from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.design.repeated import FILTERED, RepeatedCycle, repeated_cycle
@@ -24,10 +24,11 @@ from gradcal_jax.design.slots import SHAPE, CycleCoordinates, Decoded, Structure
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.imu_rows import Segments
-from gradcal_jax.model.build import BuiltImu, chamber_programme, course_before, fineness, geometry
+from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.motion import Programme, Schedule, TableMotion, body_nodes, gradient_plan, rest, turn
 from gradcal_jax.motion import programme as programme_of
+from gradcal_jax.motion.plan_motion import chamber_programme, course_before, fineness, geometry
 from gradcal_jax.motion.table_motion import nodes_of_turn
 from gradcal_jax.spec.schedule import PlanSchedule
 
@@ -139,8 +140,8 @@ class PlanValue:
         fillers, move = len(template.duration) - len(order), np.asarray(template.pieces.move)
 
         def in_order(*columns: AnyArray, of_stays: float = 0.0) -> AnyArray:
-            whole = jnp.concatenate(columns, axis=1).ravel()[order]
-            return jnp.concatenate([whole, jnp.full(fillers, of_stays)])
+            whole = jnp.concatenate(columns, axis=1).ravel()
+            return jnp.concatenate([taken(whole, order), jnp.full(fillers, of_stays)])
 
         still = np.zeros((slots, each + parts))
         line = replace(

@@ -25,7 +25,8 @@ from gradcal_jax.estimation.lag_of_maps import Fit, Lag, LateTemperatures, fit_w
 from gradcal_jax.estimation.log_rows import read_by_events
 from gradcal_jax.information.plan_sentences import prior_deviations
 from gradcal_jax.model import AXIS_NAMES
-from gradcal_jax.model.build import BuiltImu, course_before
+from gradcal_jax.model.build import BuiltImu
+from gradcal_jax.motion.plan_motion import course_before
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.plan import StandardPlan

@@ -147,9 +147,9 @@ class ImuReadings(NamedTuple):
         at = self.segments
         ideal = nodes.of_kinds(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result = np.zeros(len(at.row_segment))
-        for i, (c, own) in enumerate(zip(model.channels, model.outputs(nodes, parameters), strict=True)):
+        for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
             rows = at.row_channel == i
-            output = ideal[nodes.kind, c.index] + own
+            output = ideal[nodes.kind, c.index] + columns @ parameters[model.where(c.kind, c.axis)]
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
         return result
 

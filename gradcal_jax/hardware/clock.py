@@ -12,29 +12,10 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Protocol
 
 _LOOKS_S, _BESIDE_S = 0.01, 0.1
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
-
-
-class Clock(Protocol):
-    def now(self) -> float:
-        """Seconds since an arbitrary origin; never goes back."""
-        ...
-
-    def sleep_until(self, time_s: float) -> None:
-        """Return at `time_s` of this clock, at once if that is in the past."""
-
-    def sleep(self, duration_s: float) -> None: ...
-
-    def party(self) -> AbstractContextManager[None]:
-        """Context in which virtual time stands still unless this thread waits on the clock."""
-        ...
-
-    def begin(self, work: Callable[[], object]) -> None:
-        """Begin `work` in a thread of its own, a party of the clock."""
 
 
 class RealClock:
@@ -42,9 +23,11 @@ class RealClock:
     sleep."""
 
     def now(self) -> float:
+        """Seconds since an arbitrary origin; never goes back."""
         return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
     def sleep_until(self, time_s: float) -> None:
+        """Return at `time_s` of this clock, at once if that is in the past."""
         while (left := time_s - self.now()) > 0.0:
             time.sleep(left)
 
@@ -52,9 +35,11 @@ class RealClock:
         self.sleep_until(self.now() + duration_s)
 
     def party(self) -> AbstractContextManager[None]:
+        """Context in which virtual time stands still unless this thread waits on the clock."""
         return nullcontext()
 
     def begin(self, work: Callable[[], object]) -> None:
+        """Begin `work` in a thread of its own, a party of the clock."""
         threading.Thread(target=work, daemon=True, name="beside the run").start()
 
 
@@ -140,6 +125,9 @@ class VirtualClock:
         self._now = max(self._now, time_s)
         self._working += 1
         gate.release()
+
+
+Clock = RealClock | VirtualClock
 
 
 def until(

@@ -37,16 +37,13 @@ class KeptSettings:
 
     def change(self, name: str, value: str) -> None:
         """Change a setting, unless it has that value already."""
-        if not self._same(self.note(name, value), value):
-            self._write(name, value)
-
-    def note(self, name: str, value: str) -> str:
-        """Keep the value of a setting before another command changes it to `value`. Returns the value."""
         shown = self._read(name)
-        if name not in self.before and not self._same(shown, value):
+        if self._same(shown, value):
+            return
+        if name not in self.before:
             self.before[name] = shown
             self.on_first_change(name, shown)
-        return shown
+        self._write(name, value)
 
     def keep(self, before: Mapping[str, str]) -> None:
         """Take over the values kept by another process."""

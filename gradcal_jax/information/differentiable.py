@@ -22,8 +22,9 @@ from gradcal_jax.information.residual import Residual, residual_of
 from gradcal_jax.information.unseen import answers_of, drifting_terms, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import BSpline, ImuModel, Map, Term
-from gradcal_jax.model.build import BuiltImu, build_imu, plan_schedule, unweighted_estimator
+from gradcal_jax.model.build import BuiltImu, build_imu, unweighted_estimator
 from gradcal_jax.motion import Schedule, TableMotion
+from gradcal_jax.motion.plan_motion import plan_schedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary

@@ -18,7 +18,7 @@ from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.plan_information import estimator_of_means
 from gradcal_jax.information.posterior import noise_of_sums
 from gradcal_jax.information.residual import residual_map, residual_of
-from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
+from gradcal_jax.information.unseen import CountedPosteriors, widened
 from gradcal_jax.model.build import BuiltImu, unweighted_estimator
 from gradcal_jax.spec.requirement import MisalignmentRequirement, Requirement
 
@@ -56,15 +56,17 @@ class ErrorBudget:
             of_installation = gain.T @ columns[:, own:] * stds
         else:
             gain = _best_gain(steps, errors, columns) @ covariance
-            for name, of_gear in zip(named, errors.T, strict=True):
-                self._add(name, gain.T @ of_gear[:, None])
             of_installation = covariance[:, own:] / stds
             hidden = model.discrepancy_stds
             if np.any(hidden):
                 self._add(DISCREPANCY, covariance[:, hidden > 0.0] / hidden[hidden > 0.0])
-        for name, column in zip(model.names()[own:], of_installation.T, strict=True):
-            source = next(source for begin, source in _INSTALLATION.items() if name.startswith(begin))
-            self._add(source, column[:, None])
+        sources = [
+            next(source for begin, source in _INSTALLATION.items() if name.startswith(begin))
+            for name in model.names()[own:]
+        ]
+        common_errors = np.concatenate([gain.T @ errors, of_installation], axis=1)
+        for name, column in zip([*named, *sources], common_errors.T, strict=True):
+            self._add(name, column[:, None])
         figures = _active_sources(built)
         models = {name: with_ratios(model, figures, {of: float(of == name) for of in figures}) for name in figures}
         parts = noise_parts(motion, models, nodes, steps) if models else {}
@@ -80,14 +82,14 @@ class ErrorBudget:
         root, of = self.known.spread, residual_of(self.built, requirement)
         if not np.isfinite(of.map(self.known).statistic()):
             return None
-        variances = [element.variance(root) + of.added for element in of.elements]
         changes = {name: [e.part(part, root) for e in of.elements] for name, part in self.parts.items()}
         if DISCREPANCY in changes:
             changes[DISCREPANCY] = [a + e.beyond for a, e in zip(changes[DISCREPANCY], of.elements, strict=True)]
         if of.added:
             name = "mounting" if isinstance(requirement, MisalignmentRequirement) else "bias from dT/dt"
-            before = changes.get(name, [0.0] * len(variances))
-            changes[name] = [np.full(v.shape, of.added) + b for v, b in zip(variances, before, strict=True)]
+            nothing = [np.zeros(len(e.beyond)) for e in of.elements]
+            changes[name] = [of.added + before for before in changes.get(name, nothing)]
+        variances = of.variances(root)
         shares = {name: of.slope(variances, [2.0 * c for c in change]) for name, change in changes.items()}
         rest = 1.0 - sum(shares.values())
         return shares | ({PRIOR: rest} if abs(rest) > _ROUNDING else {})
@@ -99,18 +101,20 @@ class ErrorBudget:
         of_fit = self.of_fit(requirement)
         if of_fit is None:
             return None
-        columns = {n: c for n, c in self.budget.columns.items() if run == "any run" or n != TURN_ON}
+        columns = self.budget.counted(run)
 
         def variance(names: Iterable[str]) -> float:
             known = widened(self.known, {name: columns[name] for name in names})
             return residual_map(self.built, known, requirement).statistic() ** 2
 
         total = variance(columns)
-        unseen = {name: 1.0 - variance(columns.keys() - {name}) / total for name in columns} if total else {}
         fit = variance(()) / total if total else 1.0
-        shares, whole = {name: share * fit for name, share in of_fit.items()}, fit + sum(unseen.values())
-        for name, share in unseen.items():
+        shares = {name: share * fit for name, share in of_fit.items()}
+        whole = fit
+        for name in columns if total else ():
+            share = 1.0 - variance(columns.keys() - {name}) / total
             shares[name] = shares.get(name, 0.0) + share
+            whole += share
         return {name: share / whole for name, share in sorted(shares.items(), key=lambda item: -item[1])}
 
 

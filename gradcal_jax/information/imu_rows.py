@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed, taken
 from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
 from gradcal_jax.model import BodyNodes, ImuModel, NodeGroup
 from gradcal_jax.model.terms import Term
@@ -79,7 +79,7 @@ def rows_of_terms(
     model: ImuModel, nodes: BodyNodes, at: Segments, terms: Sequence[tuple[int, Term]]
 ) -> Float[AnyArray, "R k"]:
     """Columns of terms of one parameter, as if the channels of these numbers had them."""
-    columns: list[Any] = [((slice(None), slice(0, 0)), np.zeros((len(at.row_segment), 0)))]
+    columns: list[Any] = []
     for k, (number, term) in enumerate(terms):
         channel, rows = model.channels[number], np.flatnonzero(at.row_channel == number)
         of_pieces = term.columns(nodes.sensed_by(channel.kind, channel.axis))
@@ -99,11 +99,9 @@ def imu_system(
     where the axes or the used rows are traced."""
     at = segments_of(motion, model) if at is None else at
     steps, row = _joint_steps(motion, model, nodes, at)
-    columns = _columns(model, nodes, at)
-    xp = namespace(columns)
-    if common is not None or beside is not None:
-        columns = xp.concatenate([of for of in (common, columns, beside) if of is not None], axis=1)
-    return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
+    every = [of for of in (common, _columns(model, nodes, at), beside) if of is not None]
+    columns = every[0] if len(every) == 1 else namespace(*every).concatenate(every, axis=1)
+    return steps, _by_steps(columns, row)
 
 
 def noise_parts(
@@ -119,6 +117,12 @@ def row_of_steps(motion: TableMotion, model: ImuModel) -> np.ndarray:
     return _order(segments_of(motion, model), _by_pieces(model))[1]
 
 
+def _by_steps(of_rows: AnyArray, row: np.ndarray) -> AnyArray:
+    """Values of rows `(R, k)` in the order of the steps; zero for steps without one."""
+    same = len(row) == len(of_rows)
+    return of_rows if same else namespace(of_rows).where((row >= 0)[:, None], of_rows[row], 0.0)
+
+
 def _by_pieces(model: ImuModel) -> bool:
     """Whether every piece is a step: where a rate drives a process, so that it is constant or smooth."""
     return any(bool(np.any(np.asarray(c.processes.rate_gain))) for c in model.channels)
@@ -127,16 +131,15 @@ def _by_pieces(model: ImuModel) -> bool:
 def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
     """Regressors of every row."""
     own, shared = model.columns(nodes)
-    shared = at.sums(shared[nodes.kind])
-    parts, begin, calibrated = [], 0, model.calibrated
+    shared = at.sums(taken(shared, nodes.kind))
+    parts, calibrated = [], model.calibrated
     for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
-        rows, end = np.flatnonzero(at.row_channel == i), begin + c.size
+        rows = np.flatnonzero(at.row_channel == i)
         # (All segments are most often rows of an only channel.)
         segment = slice(None) if len(rows) == len(at.row_channel) == len(at.first) else at.row_segment[rows]
-        parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
+        parts.append(((rows, model.where(c.kind, c.axis)), taken(at.sums(block), segment)))
         if model.installation:
-            parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
-        begin = end
+            parts.append(((rows, slice(calibrated, None)), taken(shared[:, c.index], segment)))
     return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
 
 
@@ -156,76 +159,66 @@ def _joint_steps(
     motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, observed: AnyArray | None = None
 ) -> tuple[NoiseSteps, np.ndarray]:
     """The steps, and the row that each reads (−1: none). `observed`: the observations, if they are known."""
-    xp = namespace(motion, model, nodes)
-    line, channels = motion.line, len(model.channels)
-    m = sum(c.processes.count for c in model.channels)
-    of_encoders, from_encoders, first_errors = _encoder_errors(motion, model, at)
-    n = channels + m + len(first_errors)
+    xp, line, by_pieces, every = namespace(motion, model, nodes), motion.line, _by_pieces(model), slice(None)
     # One step for each segment, or for each piece.
-    by_pieces = _by_pieces(model)
     duration = line.duration if by_pieces else at.sums(line.duration)
-    count = duration.shape[0]
-    begins = np.zeros(count, bool)
-    begins[at.first if by_pieces else slice(None)] = True
-    gap = np.asarray(line.gap)[slice(None) if by_pieces else at.first]
+    count, gap = duration.shape[0], np.asarray(line.gap)[every if by_pieces else at.first]
+    begins = np.isin(np.arange(count), at.first) if by_pieces else np.ones(count, bool)
     before = np.cumprod(gap).astype(bool)[:, None] if gap[0] else None
-    everything = slice(None)
+    # The direction about which each piece turns, and what a gain multiplies: the rate that a gyro senses.
+    axes = nodes.axes_before if nodes.across_axes is None else nodes.axes_before + nodes.across_axes
+    along = xp.sum(xp.where(motion.turns[..., None], axes[nodes.kind], 0.0), axis=1)
+    driving, varying = along * line.end_rate()[:, None], line.varying_pieces
     transition: list[tuple] = []
     covariance: list[tuple] = []
     initial: list[tuple] = []
-    # The direction about which each piece turns.
-    axes = nodes.axes_before if nodes.across_axes is None else nodes.axes_before + nodes.across_axes
-    along = xp.sum(xp.where(motion.turns[..., None], axes[nodes.kind], 0.0), axis=1)
-    # What a gain multiplies: the rate that a gyro senses.
-    driving = along * line.end_rate()[:, None]
-    state = channels
+    begin = len(model.channels)
     for i, c in enumerate(model.channels):
-        p = c.processes
-        states = np.arange(state, state + p.count)
-        state += p.count
-        rates = driving[:, c.axis] if by_pieces and c.kind == "gyro" else xp.zeros(count)
-        along_rates = None
-        if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
-            along_rates = varying, drive_rates(line, varying) * along[varying, c.axis][:, None]
+        rates, along_rates = xp.zeros(count), None
+        if by_pieces and c.kind == "gyro":
+            rates = driving[:, c.axis]
+            if varying.shape[0]:
+                along_rates = varying, drive_rates(line, varying) * along[varying, c.axis][:, None]
         afresh = line.points == "independent"
         to_integral, decayed, variance, q_cross, q_self = process_steps(
-            p, duration, rates, along_rates, before, afresh=afresh
+            c.processes, duration, rates, along_rates, before, afresh=afresh
         )
-        walk = c.angle_random_walk**2 * duration + variance
+        own = slice(begin, begin + c.processes.count)
+        each = np.arange(own.start, own.stop)
         transition += [
-            ((everything, i, i), np.where(begins, 0.0, 1.0)),
-            ((everything, i, states), to_integral),
-            ((everything, states, states), decayed),
+            ((every, i, i), np.where(begins, 0.0, 1.0)),
+            ((every, i, own), to_integral),
+            ((every, each, each), decayed),
         ]
         covariance += [
-            ((everything, i, i), walk),
-            ((everything, i, states), q_cross),
-            ((everything, states, i), q_cross),
-            ((everything, states, states), q_self),
+            ((every, i, i), c.angle_random_walk**2 * duration + variance),
+            ((every, i, own), q_cross),
+            ((every, own, i), q_cross),
+            ((every, each, each), q_self),
         ]
-        initial.append(((states, states), p.initial_std**2))
-    states = np.arange(channels + m, n)
-    pairs: tuple[Any, ...] = (everything, slice(channels + m, n), slice(channels + m, n))
+        initial.append(((each, each), c.processes.initial_std**2))
+        begin = own.stop
+    of_encoders, drawn, first_errors = _encoder_errors(motion, model, at)
+    n = begin + len(first_errors)
     if by_pieces:
-        pairs = (at.last[:, None, None], states[:, None], states[None])
-    # Between the ends of segments the errors stay as they are.
-    transition += [((everything, states, states), 1.0), (pairs, of_encoders)]
-    covariance.append((pairs, from_encoders))
-    initial.append(((states[:, None], states[None]), first_errors))
+        # Between the ends of segments the errors stay as they are.
+        still = np.broadcast_to(np.eye(n - begin), (count, n - begin, n - begin))
+        of_encoders, drawn = put(still, at.last, of_encoders), put(np.zeros(still.shape), at.last, drawn)
+    errors = slice(begin, n)
+    transition.append(((every, errors, errors), of_encoders))
+    covariance.append(((every, errors, errors), drawn))
+    initial.append(((errors, errors), first_errors))
+    through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
     # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
-    fresh = np.flatnonzero(np.diff(source, prepend=-1))
-    through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
-    stays = np.ones(len(row), bool)
+    fresh, stays = np.flatnonzero(np.diff(source, prepend=-1)), np.ones(len(row), bool)
     stays[fresh] = False
     if len(fresh) < len(row):
         still = np.broadcast_to(np.eye(n), (len(row), n, n))
         through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
     if observed is None:
-        of_rows = _observations(motion, nodes, at, model, n, channels + m)
-        observed = of_rows if len(row) == len(of_rows) else xp.where((row >= 0)[:, None], of_rows[row], 0.0)
-    used = at.used[row] & (row >= 0)
-    whole = placed((n, n), *initial)
+        observed = _by_steps(_observations(motion, model, nodes, at, n), row)
+    used, whole = at.used[row] & (row >= 0), placed((n, n), *initial)
     return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
 
 
@@ -245,11 +238,20 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> tuple
     segment: `now` of every axis, then `before`, then the offset of its standstill; a held rate has the first alone, a
     table without offsets no third."""
     line, of, axes = motion.line, model.encoder, motion.geometry.axis_count
-    xp, count = namespace(line.duration, of, motion.axis), len(at.first)
-    every, now = slice(None), np.arange(axes)
+    xp, kinds = namespace(line.duration, of, motion.axis), 1 if line.rates else 2 if of.held or not of.has_offset else 3
+
+    def of_kinds(entries: Mapping[tuple[int, int], AnyArray], *shape: int) -> AnyArray:
+        """Matrices of the states by their diagonals `(…, L)` between two kinds."""
+        each, size = np.arange(axes), kinds * axes
+        parts = [
+            ((..., a * axes + each, b * axes + each), value) for (a, b), value in entries.items() if max(a, b) < kinds
+        ]
+        return placed((*shape, size, size), *parts)
+
+    count = len(at.first)
     if line.rates:
         turned = at.sums(xp.where(motion.turns, line.turned()[:, None], 0.0))
-        spread = placed((count, axes, axes), ((every, now, now), xp.square(of.rate * turned)))
+        spread = of_kinds({(0, 0): xp.square(of.rate * turned)}, count)
         return np.zeros((count, axes, axes)), spread, np.zeros((axes, axes))
     moved = xp.where(_moves(motion, at), 1.0, 0.0)
     share = xp.asarray(line.share)[at.last][:, None]
@@ -257,8 +259,9 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> tuple
     if of.held:
         readings = readings_of_standstills(motion, model, at)
         shares = xp.concatenate([xp.ones((1, axes)), xp.where(moved > 0.0, share, 1.0)])
-        drawn = offset + reading / (readings * shares)
-        fresh, spread, first, stands = moved, moved * drawn[1:], drawn[0], moved
+        every = offset + reading / (readings * shares)
+        first, drawn = every[0], every[1:]
+        fresh, spread, stands = moved, moved * drawn, moved
     else:
         gap, read, at_rest = (np.asarray(x)[at.last][:, None] for x in (line.gap, line.read, line.at_rest))
         # The empty slots of a search take no time, and are not read.
@@ -267,19 +270,13 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> tuple
         timed = xp.square(line.end_rate()[at.last][:, None] * timing) * (reads - stands)
         fresh, first, drawn = reads * np.ones((1, axes)), (reading + offset)[0], offset
         spread = reads * reading / share + timed + stands * moved * drawn
-    before, still = now + axes, now + 2 * axes
-    transition = [((every, at_, at_), 1.0 - fresh) for at_ in (now, before)] + [((every, before, now), fresh)]
-    covariance, initial = [((every, now, now), spread)], [((now, now), first)]
-    kinds = 2 if of.held or not of.has_offset else 3
-    if kinds == 3:
-        both = stands * moved * drawn
-        transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
-        covariance += [((every, still, still), moved * drawn)]
-        covariance += [((every, *at_), both) for at_ in ((now, still), (still, now))]
-        initial += [(at_, drawn[0]) for at_ in ((now, still), (still, now), (still, still))]
-    size = kinds * axes
-    steps = count, size, size
-    return placed(steps, *transition), placed(steps, *covariance), placed((size, size), *initial)
+    now, before, still = range(3)
+    stays, kept, both = 1.0 - fresh, 1.0 - moved, stands * moved * drawn
+    transition = {(now, now): stays, (before, before): stays, (before, now): fresh}
+    transition |= {(now, still): stands * kept, (still, still): kept}
+    covariance = {(now, now): spread, (still, still): moved * drawn, (now, still): both, (still, now): both}
+    initial = {(now, now): first} | dict.fromkeys([(now, still), (still, now), (still, still)], drawn[0])
+    return of_kinds(transition, count), of_kinds(covariance, count), of_kinds(initial)
 
 
 def _moves(motion: TableMotion, at: Segments) -> Bool[AnyArray, "S L"]:
@@ -304,14 +301,9 @@ def readings_of_standstills(
     begins = xp.concatenate([start[:1], ends])[:, None]
     # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
     marked = xp.where(moves, xp.where(gap, start[of_gap], start)[:, None], end[None])
-    marked = xp.concatenate([marked, xp.broadcast_to(end[None], (1, moves.shape[1]))])
-    stops = xp.flip(_running_least(xp.flip(marked, axis=0)), axis=0)
+    marked = xp.flip(xp.concatenate([marked, xp.broadcast_to(end[None], (1, moves.shape[1]))]), axis=0)
+    stops = xp.flip(np.minimum.accumulate(marked) if xp is np else jax.lax.cummin(marked), axis=0)
     return xp.floor((stops - begins) / model.encoder.every[None] * (1.0 + 1e-9) + 1e-9) + 1.0
-
-
-def _running_least(values: Float[AnyArray, "n L"]) -> Float[AnyArray, "n L"]:
-    """The least row up to and including each one."""
-    return np.minimum.accumulate(values) if namespace(values) is np else jax.lax.cummin(values)
 
 
 def encoder_rows(
@@ -320,8 +312,39 @@ def encoder_rows(
     """What an encoder error of one rad adds to every row (rad, m/s): at the end of its segment, and before it. `at`: as
     of `imu_system`."""
     axes, at = motion.geometry.axis_count, at or segments_of(motion, model)
-    of_errors = _observations(motion, nodes, at, model, len(model.channels) + 2 * axes, len(model.channels))
-    return of_errors[:, len(model.channels) :].reshape(-1, 2, axes)
+    xp, held = namespace(nodes.axes_before, motion.line.duration), model.encoder.held and not motion.line.rates
+    before, after = motion.angles()
+    # For an example of each kind: begin and total angle of its segment.
+    segment = np.searchsorted(at.first, motion.example, side="right") - 1
+    began = taken(before, at.first[segment])
+    whole = taken(after, at.last[segment]) - taken(before, at.first[segment])
+    stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
+    # Of the rates and forces along the body's axes those that a channel senses.
+    sensed = np.array([c.index for c in model.channels])
+    of_sensed = lambda of: xp.moveaxis(taken(xp.moveaxis(of, -1, 0), sensed), 0, -1)  # noqa: E731
+    rates = lambda of: of_sensed(xp.concatenate([of, xp.zeros(of.shape)], axis=-1))  # noqa: E731
+
+    def of_group(g: NodeGroup):
+        begin, span = taken(began, g.kinds)[:, None], taken(whole, g.kinds)[:, None]
+        # The share of the move that is completed interpolates the error between the two standstills.
+        turns = motion.turns[motion.example[g.kinds]][:, None, :]
+        away = turns & (abs(span) > _RETURNS)
+        gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
+        share = xp.where(turns, xp.where(away, gone, 0.5), stands)
+        shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ of_sensed(g.turned(k)) for k in range(axes)]
+        return xp.concatenate([xp.stack(parts, axis=2), rates(g.integral(g.axes))[:, None]], axis=1)
+
+    sums = at.sums(taken(nodes.of_kinds(of_group, (3, axes, len(sensed))), nodes.kind))
+    if held:
+        own = at.axis[:, None] == np.arange(axes)[None, :]
+        along = rates(xp.where(own[..., None], taken(nodes.axes_before, nodes.kind[at.first]), 0.0))
+    else:
+        lasting = at.sums(motion.line.duration)[:, None, None]
+        along = sums[:, 2] / xp.where(lasting > 0.0, lasting, 1.0)
+    slow = sums[:, :2] + xp.stack([along, -along], axis=1)
+    by_channel = xp.reshape(xp.moveaxis(slow, -1, 1), (-1, 2, axes))
+    return taken(by_channel, at.row_segment * len(sensed) + at.row_channel)
 
 
 def rows_of_angles(
@@ -337,41 +360,14 @@ def rows_of_angles(
     return xp.einsum("rsl,rslk->rk", of_errors, ends)
 
 
-def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: ImuModel, n: int, encoders: int):
-    """H of every row, `(R, n)`."""
-    xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
-    before, after = motion.angles()
-    # For an example of each kind: begin and total angle of its segment.
-    segment = np.searchsorted(at.first, motion.example, side="right") - 1
-    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
-
-    def of_group(g: NodeGroup):
-        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
-        # The share of the move that is completed interpolates the error between the two standstills.
-        turns = motion.turns[motion.example[g.kinds]][:, None, :]
-        stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
-        away = turns & (abs(span) > _RETURNS)
-        gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
-        share = xp.where(turns, xp.where(away, gone, 0.5), stands)
-        shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
-        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k)[..., sensed] for k in range(axes)]
-        return xp.concatenate([xp.stack(parts, axis=2), of_sensed(g.integral(g.axes))[:, None]], axis=1)
-
-    # Of the rates and forces along the body's axes those that a channel senses.
-    sensed = np.array([c.index for c in model.channels])
-    of_sensed = lambda rates: xp.concatenate([rates, xp.zeros(rates.shape)], axis=-1)[..., sensed]  # noqa: E731
-    sums = at.sums(nodes.of_kinds(of_group, (3, axes, len(sensed)))[nodes.kind])
-    if model.encoder.held and not motion.line.rates:
-        own = at.axis[:, None] == np.arange(axes)[None, :]
-        along = of_sensed(xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0))
-    else:
-        lasting = at.sums(motion.line.duration)[:, None, None]
-        along = sums[:, 2] / xp.where(lasting > 0.0, lasting, 1.0)
-    slow = sums[:, :2] + xp.stack([along, -along], axis=1)
-    of_encoder = slow[at.row_segment, :, :, at.row_channel]
-    count = len(at.row_channel)
-    parts = [
-        ((slice(None), np.arange(begin, begin + axes)), of_encoder[:, k])
-        for k, begin in enumerate(range(encoders, min(n, encoders + 2 * axes), axes))
-    ]
-    return placed((count, n), ((np.arange(count), at.row_channel), np.ones(count)), *parts)
+def _observations(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, n: int
+) -> Float[AnyArray, "R n"]:
+    """H of every row."""
+    of_errors = encoder_rows(motion, model, nodes, at)
+    count, axes = len(at.row_channel), motion.geometry.axis_count
+    each, begin = np.arange(count), model.own_states
+    parts: list[Any] = [((each, at.row_channel), np.ones(count))]
+    for k in range(1 if motion.line.rates else 2):
+        parts.append(((slice(None), slice(begin + k * axes, begin + (k + 1) * axes)), of_errors[:, k]))
+    return placed((count, n), *parts)

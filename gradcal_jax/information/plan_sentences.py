@@ -45,7 +45,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     requirements beyond the plan's temperatures and rates."""
     fastest = _fastest(built)
     return [
-        *_unobserved(built, known),
+        *_unobserved_sentences(built, known),
         *_limited_by_priors(built.model, known),
         *one_way_sentences(built, known),
         *_saturated(built, fastest),
@@ -77,42 +77,42 @@ def _stays(model: ImuModel, known: Posterior) -> np.ndarray:
 def unobserved_parameters(model: ImuModel, known: Posterior) -> list[str]:
     """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
     state at the beginning left out."""
-    return [f"{c.name}.{name}" for c, _, name in _unobserved_of(model, known)]
+    return [name for _, _, name in _unobserved(model, known)]
 
 
-def _unobserved_of(model: ImuModel, known: Posterior) -> Iterator[tuple[Channel, Term, str]]:
-    stays = iter(_stays(model, known))
-    for c in model.channels:
-        for term in c.terms:
-            nuisances = term.nuisances if isinstance(term, OwnTerm) else []
-            for name, same in zip(term.names(), stays, strict=False):
-                if same and not isinstance(term, Discrepancy) and name not in nuisances:
-                    yield c, term, name
+def _unobserved(model: ImuModel, known: Posterior) -> Iterator[tuple[Channel, Term, str]]:
+    stays = _stays(model, known)
+    for _, c, term, at in model.located():
+        nuisances = term.nuisances if isinstance(term, OwnTerm) else []
+        for name, same in zip(term.names(), stays[at], strict=True):
+            if same and not isinstance(term, Discrepancy) and name not in nuisances:
+                yield c, term, f"{c.name}.{name}"
 
 
-def _unobserved(built: BuiltImu, known: Posterior) -> list[str]:
+def _unobserved_sentences(built: BuiltImu, known: Posterior) -> list[str]:
     """Sentences on parameters that nothing observes, or that keep their priors, each with what a plan needs."""
     more, groups = _BY_GRAVITY if built.spec.rig.table.by_gravity else "", dict[str, list[str]]()
-    for c, term, name in _unobserved_of(built.model, known):
+    for c, term, name in _unobserved(built.model, known):
         if not isinstance(term, Hysteresis):
             fits = [of for (kind, head), of in _REMEDIES.items() if kind == c.kind and term.name.startswith(head)]
-            groups.setdefault([*fits, "change the plan"][0], []).append(f"{c.name}.{name}")
+            groups.setdefault([*fits, "change the plan"][0], []).append(name)
     return [f"the plan cannot observe {', '.join(names)}: {of}, or state a prior{more}" for of, names in groups.items()]
 
 
 def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
     """Errors of the installation that the plan does not observe and that dominate the error of a parameter of the unit:
     any plan, or this one, cannot separate the two (a gauge freedom of the measurement)."""
-    own, names, priors = model.calibrated, model.names(), prior_deviations(model)
+    own, names, units, priors = model.calibrated, model.names(), model.units(), prior_deviations(model)
     spread = model.to_reported @ known.spread
     spread = spread / np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), np.finfo(float).tiny)
-    limits = _stays(model, known)[own:, None] & (np.abs(spread[own:] @ spread[:own].T) > NOT_OBSERVED)
+    limits = _stays(model, known)[:, None] & (np.abs(spread @ spread[:own].T) > NOT_OBSERVED)
     groups: dict[tuple[str, float], list[int]] = {}
-    for k in np.flatnonzero(np.any(limits, axis=1)):
-        groups.setdefault((model.units()[own + k], float(priors[own + k])), []).append(int(k))
+    for k in range(own, model.size):
+        if np.any(limits[k]):
+            groups.setdefault((units[k], float(priors[k])), []).append(k)
     sentences: list[str] = []
     for (si, prior), members in groups.items():
-        common = [names[own + k] for k in members]
+        common = [names[k] for k in members]
         limited = [names[j] for j in np.flatnonzero(np.any(limits[members], axis=0))]
         unit, factor = UNITS_OF_TERMS[si]
         turned = any(name.startswith("orthogonality_") for name in common)
@@ -127,23 +127,22 @@ def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
 def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
     """What a temperature that does not return leaves of every hysteresis, and the shortest return that observes it."""
     model, sentences = built.model, list[str]()
-    for c in model.channels:
-        for words, of_scale in (("bias", False), ("scale factor", True)):
-            plays = [t for t in c.terms if isinstance(t, Hysteresis) and bool(t.signals) == of_scale]
-            if not plays:
-                continue
-            row = np.zeros((1, model.size))
-            for play in plays:
-                row[0, model.where(c.kind, c.axis, play.name).start] = float(play.width)
-            after, before = float(known.deviations(row)[0]), float(prior_deviations(model, row)[0])
-            if after <= _HARDLY_SEEN * before:
-                continue
-            unit, factor = UNITS_OF_TERMS[plays[0].unit.removesuffix("/K")]
-            back = 2.0 * max(float(play.width) for play in plays)
+    plays: dict[tuple[int, bool], dict[int, Hysteresis]] = {}
+    for number, _, term, at in model.located():
+        if isinstance(term, Hysteresis):
+            plays.setdefault((number, bool(term.signals)), {})[at.start] = term
+    for (number, of_scale), own in plays.items():
+        row, widths = np.zeros((1, model.size)), [float(play.width) for play in own.values()]
+        row[0, list(own)] = widths
+        after, before = float(known.deviations(row)[0]), float(prior_deviations(model, row)[0])
+        if after > _HARDLY_SEEN * before:
+            c, first = model.channels[number], next(iter(own.values()))
+            unit, factor = UNITS_OF_TERMS[first.unit.removesuffix("/K")]
+            back = 2.0 * max(widths)
             sentences.append(
-                f"hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the {words} of "
-                f"{c.kind} {AXIS_NAMES[c.axis]}: change the temperature back by {back:g} K or "
-                f"more{minutes_of_change(built.spec, back)}"
+                f"hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the "
+                f"{'scale factor' if of_scale else 'bias'} of {c.kind} {AXIS_NAMES[c.axis]}: change the temperature "
+                f"back by {back:g} K or more{minutes_of_change(built.spec, back)}"
             )
     return sentences
 

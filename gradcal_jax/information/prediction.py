@@ -1,5 +1,6 @@
 """The prediction of a spec, as the contract gradcal-prediction/1."""
 
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -9,7 +10,7 @@ from gradcal_jax.information.error_budget import ErrorBudget, limited_by
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.plan_sentences import plan_warnings
 from gradcal_jax.information.residual import residual_map
-from gradcal_jax.information.unseen import CountedPosteriors, budget_of_imu
+from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, budget_of_imu
 from gradcal_jax.information.verdicts import (
     UNIT_OF,
     decision_rule,
@@ -19,8 +20,9 @@ from gradcal_jax.information.verdicts import (
     target_of,
     verdict_of,
 )
-from gradcal_jax.model.build import BuiltImu, build_imu, hung_alike
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.spec.absent import absent_terms, with_typical
+from gradcal_jax.spec.places import hung_alike
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
@@ -34,6 +36,18 @@ class JudgedPlan(NamedTuple):
     known: Posterior
     budget: CountedPosteriors
     rows: list[RequirementRow]
+
+    def shares(self) -> list[dict[str, float] | None]:
+        """The shares of all errors in what the verdict on each requirement judges; None where it is not observable."""
+        requirements = self.built.spec.requirement
+        sources = ErrorBudget(self.budget) if requirements else None
+        return [sources.shares(r, run_of(r)) for r in requirements if sources]
+
+    def limited_rows(self) -> Iterator[RequirementRow]:
+        """The rows with the error sources that limit them."""
+        for row, shares in zip(self.rows, self.shares(), strict=True):
+            axis = (row.limited_by or "").removeprefix("axis ") or None
+            yield row.model_copy(update={"limited_by": limited_by(shares, axis)})
 
 
 def judged_plan(spec: Spec) -> JudgedPlan:
@@ -67,28 +81,30 @@ def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Pr
         raise ValueError(f"the table has no place {place!r}; known: {', '.join(places)}")
     # Places that hang alike are computed once.
     plans = [(judged_plan(at), names) for at, names in hung_alike(spec)]
-    every = zip(*(plan.rows for plan, _ in plans), strict=True)
-    least = [min((row.judged for row in rows if row.judged is not None), default=0.0) for rows in every]
-
-    def excess(plan: JudgedPlan) -> float:
-        """How far a place is beyond its targets, or beyond the best place."""
-        left = [np.inf if row.judged is None else row.judged for row in plan.rows]
-        aims = [row.target or best or 1.0 for row, best in zip(plan.rows, least, strict=True)]
-        return max(np.array(left) / np.array(aims), default=0.0)
-
     if place is not None:
         plan, names = next(of for of in plans if place in of[1])
     else:
-        plan, names = max(plans, key=lambda of: excess(of[0]))
+        plan, names = plans[int(np.argmax(_excesses([of.rows for of, _ in plans])))]
     values = {name: {row.name: row.judged for row in of.rows} for of, alike in plans for name in alike}
+    omitted = absent_terms(plan.built.spec)
     return Prediction(
-        requirements=tuple(_with_limits(plan) if limits else plan.rows),
+        requirements=tuple(plan.limited_rows() if limits else plan.rows),
         warnings=tuple(plan_warnings(plan.built, plan.known)),
-        omitted=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(plan.built.spec)),
+        omitted=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in omitted),
         places=tuple(PlaceRow(name=name, values=values[name]) for name in places),
         place=(place or names[0]) if places else None,
         **_of_plan(plan.built, plan.known),
     )
+
+
+def _excesses(places: Sequence[Sequence[RequirementRow]]) -> np.ndarray:
+    """How far each place is beyond its targets, or beyond the best place."""
+    left = np.array([[np.inf if row.judged is None else row.judged for row in rows] for rows in places])
+    best = np.min(left, axis=0, initial=np.inf)
+    aims = [
+        row.target or (least if np.isfinite(least) else 0.0) or 1.0 for row, least in zip(places[0], best, strict=True)
+    ]
+    return np.max(left / np.array(aims), axis=1, initial=0.0)
 
 
 def requirement_rows(spec: Spec) -> list[RequirementRow]:
@@ -132,11 +148,11 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
     """The residual and the verdict of one requirement."""
     left = judged = residual_map(built, budget.own, requirement)
     more: dict[str, Any] = {}
-    if budget.whole is not budget.own:
-        judged = residual_map(budget.built, budget.whole, requirement)
+    if not budget.complete:
+        judged = residual_map(budget.built, budget.judged("this run"), requirement)
         more["with_typical"] = finite(judged.statistic())
-    if run_of(requirement) == "any run" and budget.any_run is not budget.whole:
-        judged = residual_map(budget.built, budget.any_run, requirement)
+    if run_of(requirement) == "any run" and TURN_ON in budget.columns:
+        judged = residual_map(budget.built, budget.judged("any run"), requirement)
         more["another_run"] = finite(judged.statistic())
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     rates = left.rates
@@ -161,19 +177,5 @@ def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
     plan = judged_plan(spec)
-    shares = {str(r.name): of for r, of in zip(plan.built.spec.requirement, _shares(plan), strict=True)}
-    return {name: of for name, of in shares.items() if of is not None}
-
-
-def _with_limits(plan: JudgedPlan) -> list[RequirementRow]:
-    """The rows with the error sources that limit them."""
-    axes = [(row.limited_by or "").removeprefix("axis ") or None for row in plan.rows]
-    words = [limited_by(of, axis) for of, axis in zip(_shares(plan), axes, strict=True)]
-    return [row.model_copy(update={"limited_by": said}) for row, said in zip(plan.rows, words, strict=True)]
-
-
-def _shares(plan: JudgedPlan) -> list[dict[str, float] | None]:
-    """The shares of all errors in what the verdict on each requirement judges; None where it is not observable."""
-    requirements = plan.built.spec.requirement
-    sources = ErrorBudget(plan.budget) if requirements else None
-    return [sources.shares(r, run_of(r)) for r in requirements if sources]
+    shares = zip(plan.built.spec.requirement, plan.shares(), strict=True)
+    return {str(requirement.name): of for requirement, of in shares if of is not None}

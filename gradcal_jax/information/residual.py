@@ -132,8 +132,7 @@ def map_rows(
 
 class ResidualMap(NamedTuple):
     """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
-    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the
-    unit are one in SI."""
+    on its temperatures (°C) and, for the scale factor, rates (rad/s)."""
 
     requirement: Requirement
     labels: tuple[str, ...]
@@ -141,7 +140,6 @@ class ResidualMap(NamedTuple):
     rates: np.ndarray
     values: np.ndarray
     unit: str
-    si: float
 
     def statistic(self, name: Statistic | None = None) -> float:
         """The requirement's statistic, or the one of that `name`; infinite: not observable. Each element has one over
@@ -176,7 +174,11 @@ class Residual(NamedTuple):
         """The statistic by a root of the covariance of all parameters: exact for an infinite sharpness, from above
         otherwise."""
         root = namespace(root, self.unseen).concatenate([root, *self.unseen], axis=1)
-        return self.of([element.variance(root) + self.added for element in self.elements], sharpness)
+        return self.of(self.variances(root), sharpness)
+
+    def variances(self, root: Float[AnyArray, "p r"]) -> list[Float[AnyArray, " g"]]:
+        """The variances on each element's points."""
+        return [element.variance(root) + self.added for element in self.elements]
 
     def of(self, variances: list[AnyArray], sharpness: Float[AnyArray, ""] | float = EXACT) -> Any:
         """The statistic by the variances on each element's points."""
@@ -198,7 +200,7 @@ class Residual(NamedTuple):
         deviations = np.reshape([element.deviations(known) for element in self.elements], shape)
         values = factor * (np.hypot(deviations, self.added**0.5) if self.added else deviations)
         labels = tuple(element.label for element in self.elements)
-        return ResidualMap(self.requirement, labels, self.temperatures, self.rates, values, unit, factor)
+        return ResidualMap(self.requirement, labels, self.temperatures, self.rates, values, unit)
 
 
 def statistic(
@@ -279,11 +281,13 @@ def _elements(
     """Each element of a quantity, temperatures first."""
     model, about, wanted, kind = built.model, built.about, requirement.axis, _kind_of(requirement)
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        for label, rows in internal_misalignments(model, kind, temperatures, about):
+        for label, rows in _internal_misalignments(model, kind, temperatures, about):
             if wanted in ("all", "worst") or wanted in label.split()[0]:
                 yield grid_element(model, label, rows)
         return
-    names = _TERMS[requirement.quantity.removeprefix(f"{kind}_")]
+    quantity = requirement.quantity.removeprefix(f"{kind}_")
+    names, by_matrix = _TERMS[quantity], about is not None and quantity in ("scale_factor", "misalignment")
+    matrix = _matrix_errors(model, kind, temperatures, about) if by_matrix else np.zeros(0)
     grid = [of.ravel() for of in np.meshgrid(temperatures, rates, indexing="ij")]
     for c in model.channels:
         axis = AXIS_NAMES[c.axis]
@@ -293,10 +297,9 @@ def _elements(
             if names is _MISALIGNMENTS and k == c.axis:
                 continue
             rows = map_rows(model, c, name, *grid)
-            if about is not None and name in (SCALE_FACTOR, *_MISALIGNMENTS) and _corrected_by_matrix(c, name):
+            if by_matrix and _corrected_by_matrix(c, name):
                 across = c.axis if name == SCALE_FACTOR else k
-                left = _left_by_correction(model, (c.kind, c.axis, across), temperatures, about)
-                left = left - _at_rest(model, c, name, temperatures)
+                left = matrix[c.axis, across] - _at_rest(model, c, name, temperatures)
                 rows = rows + np.repeat(left, len(rates), axis=0)
             label = axis + AXIS_NAMES[k] if len(names) > 1 else axis
             yield grid_element(model, label, rows, _states(model, c, requirement))
@@ -332,51 +335,34 @@ def _at_rest(model: ImuModel, channel: Channel, name: str, temperatures: np.ndar
     return np.where(model.discrepancy_stds > 0.0, 0.0, map_rows(model, channel, name, temperatures))
 
 
-def _left_by_correction(
-    model: ImuModel, element: tuple[ChannelKind, int, int], temperatures: np.ndarray, about: np.ndarray
-) -> np.ndarray:
+def _matrix_errors(
+    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None
+) -> Float[np.ndarray, "3 3 n_T p"]:
     """What a correction by a triad's whole matrix, A = (1 + M)(1 + m) `about` the parameters of an estimate, leaves
-    along i of an input along j (`element`: the kind, i, j), at rate zero: an element of A⁻¹ δA, `(n_T, p)`.
+    along i of an input along j at rate zero: A⁻¹ δA. Without an estimate of an ideal triad.
 
     A plan may tell it better than M or m: products of both, or, without an encoder, what a common rotation of all
     sensors changes in each M.
     """
-    kind, i, j = element
-    triad = [model.channel(kind, axis) for axis in range(3)]
-    scale, across = np.ones((len(temperatures), 3)), np.tile(np.eye(3), (len(temperatures), 1, 1))
-    for k, of in enumerate(triad):
-        if of is not None:
-            scale[:, k] += _at_rest(model, of, SCALE_FACTOR, temperatures) @ about
-            for other, term in enumerate(_MISALIGNMENTS):
-                across[:, k, other] += _at_rest(model, of, term, temperatures) @ about
-    inverse = np.linalg.inv(scale[:, :, None] * across)[:, i]
-    rows = np.zeros((len(temperatures), model.size))
-    for k, of in enumerate(triad):
-        if of is not None:
-            by_scale = across[:, k, j, None] * _at_rest(model, of, SCALE_FACTOR, temperatures)
-            changed = by_scale + scale[:, k, None] * _at_rest(model, of, _MISALIGNMENTS[j], temperatures)
-            rows += inverse[:, k, None] * changed
-    return rows
+    by_scale, by_others = (np.zeros((3, size, len(temperatures), model.size)) for size in (1, 3))
+    for c in (of for of in model.channels if of.kind == kind):
+        for rows, names in ((by_scale, (SCALE_FACTOR,)), (by_others, _MISALIGNMENTS)):
+            rows[c.axis] = [_at_rest(model, c, name, temperatures) for name in names]
+    values = np.zeros(model.size) if about is None else about
+    scale, across = 1.0 + by_scale @ values, np.eye(3)[..., None] + by_others @ values
+    inverse = np.linalg.inv(np.moveaxis(scale * across, -1, 0))
+    change = across[..., None] * by_scale + scale[..., None] * by_others
+    return np.einsum("tik,kjtp->ijtp", inverse, change)
 
 
-def internal_misalignments(
-    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None = None
+def _internal_misalignments(
+    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
-    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: parameters of an estimate, whose
-    correction leaves them (`_left_by_correction`)."""
-
-    def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
-        channel = model.channel(which, i)
-        if channel is None:
-            return np.zeros((len(temperatures), model.size))
-        if about is not None:
-            return _left_by_correction(model, (which, i, j), temperatures, about)
-        return _at_rest(model, channel, _MISALIGNMENTS[j], temperatures)
-
+    accelerometers, the rotation of their triad against the gyros'. `about`: see `_matrix_errors`."""
+    own, gyro = (_matrix_errors(model, of, temperatures, about) for of in (kind, "gyro"))
     for i, j in ((0, 1), (0, 2), (1, 2)):
         name = AXIS_NAMES[i] + AXIS_NAMES[j]
-        yield name, of(kind, i, j) + of(kind, j, i)
+        yield name, own[i, j] + own[j, i]
         if kind == "accelerometer":
-            apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
-            yield f"{name} to the gyros", 0.5 * apart
+            yield f"{name} to the gyros", 0.5 * (own[i, j] - own[j, i] - gyro[i, j] + gyro[j, i])

@@ -14,8 +14,7 @@ least squares (`imu_rows.imu_information`).
 rectangular within ±15.04 deg/h (GUM, 4.3.7).
 """
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -85,21 +84,23 @@ class EstimatedRun(NamedTuple):
 
 
 class CountedPosteriors(NamedTuple):
-    """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
-    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
-    `fit`, `columns`: the parts of `any_run`: of noise and priors alone, and of what no residual shows, by name (in an
-    estimate without the turn-on bias)."""
+    """Posteriors of a plan or an estimate. `own`: with what the spec names. For verdicts, with what it omits at its
+    class's typical figures: the model (`built`), the posterior of noise and priors alone (`fit`), and the `columns` of
+    what no residual shows, by name. `complete`: the spec omits nothing."""
 
     own: Posterior
-    whole: Posterior
-    any_run: Posterior
-    built: Any
+    built: BuiltImu
     fit: Posterior
-    columns: Columns = MappingProxyType({})
+    columns: Columns
+    complete: bool
+
+    def counted(self, run: str) -> Columns:
+        """The columns that count in "any run", with another power-on, or in "this run"."""
+        return {name: of for name, of in self.columns.items() if run == "any run" or name != TURN_ON}
 
     def judged(self, run: str) -> Posterior:
         """What a verdict judges in "any run" or in "this run"."""
-        return self.any_run if run == "any run" else self.whole
+        return widened(self.fit, self.counted(run))
 
 
 def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
@@ -121,12 +122,14 @@ def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
 def answers_of(built: BuiltImu, columns: Any = None) -> Answers:
     """The answers of a plan's estimate, of which `columns` `(p, k)` are those to its drifting terms (None: it has
     none)."""
-    channels, nothing = built.model.channels, np.zeros(built.model.size)
+    channels = built.model.channels
     if columns is None:
-        return Answers([nothing] * len(channels), [nothing] * len(channels))
+        columns = np.zeros((built.model.size, 2 * len(channels)))
     gradient, by_scale = columns.T[::2], columns.T[1::2]
-    slopes = [slopes_of(built.spec.sensor, c.kind) for c in channels]
-    lag = [-of[0] * a - of[1] * b for of, a, b in zip(slopes, gradient, by_scale, strict=True)]
+    lag = []
+    for k, c in enumerate(channels):
+        of_bias, of_scale = slopes_of(built.spec.sensor, c.kind)
+        lag.append(-of_bias * gradient[k] - of_scale * by_scale[k])
     return Answers(list(gradient), lag)
 
 
@@ -146,83 +149,81 @@ def unseen_columns(
     """Columns `(p, k)` by the name of their error, as far as `spec` names it (None: the unit's own). A sensitivity to
     dT/dt, a hysteresis or gears that the model estimates are in its covariance. In a plan a map has its class's slopes,
     in an estimate (`done`) its own."""
-    model, spec = built.model, spec or built.spec
-    sensor = spec.sensor
+    columns: dict[str, list[Any]] = {}
+    for name, std, column in _unseen(built, answers, spec or built.spec, done):
+        if std and (namespace(column) is not np or np.any(column)):
+            columns.setdefault(name, []).append(std * column)
+    return {name: namespace(*of).stack(of, axis=1) for name, of in columns.items()}
+
+
+def _unseen(
+    built: BuiltImu, answers: Answers, spec: Spec, done: EstimatedRun | None
+) -> Iterator[tuple[str, float, Any]]:
+    """The errors of every channel: name, standard deviation, and what a unit of it changes in the parameters."""
+    model, sensor, site = built.model, spec.sensor, spec.rig.site
     lag = float(sensor.temperature_lag or 0.0) if done is None or done.lag_std is None else done.lag_std
     scales, backlash = _of_table(built, spec)
-    scales["clocks that contradict each other"] = 0.0 if done is None else done.clock_doubt
     turns = turns_of(built.motion) if backlash else None
     # A calibration does not carry the functions that a discrepancy adds.
     carried = model.discrepancy_stds == 0.0
-    columns: dict[str, list[Any]] = {}
-
-    def add(name: str, std: float, column: Any) -> None:
-        if std and (namespace(column) is not np or np.any(column)):
-            columns.setdefault(name, []).append(std * column)
-
     for number, c in enumerate(model.channels):
         triad = getattr(sensor, c.kind)
-        constants = {name: _constant(model, c, name) for name in (BIAS, SCALE_FACTOR)}
+        of_bias, of_scale = (_column(model, c, name, lambda term: term.constant) for name in (BIAS, SCALE_FACTOR))
         if c.kind == "gyro":
             for name, std in scales.items():
-                add(name, std, constants[SCALE_FACTOR])
-            if spec.rig.site.is_unknown:
-                add("Earth's rate", UNKNOWN_EARTH_RATE, constants[BIAS])
+                yield name, std, of_scale
+            yield "clocks that contradict each other", 0.0 if done is None else done.clock_doubt, of_scale
+            yield "Earth's rate", UNKNOWN_EARTH_RATE * site.is_unknown, of_bias
             if turns is not None:
-                add(BACKLASH, backlash, _by_backlash(model, c, turns))
+                yield BACKLASH, backlash, _column(model, c, SCALE_FACTOR, lambda term, of=turns: _lost(term, of))
         if done is not None:
-            for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis)):
-                size = float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
-                # A map from one branch is off by twice as much on the other as one from both.
-                if not _estimates_plays(c, name):
-                    add("hysteresis", size * (2.0 if done.one_way else 1.0), constants[name])
+            # A map from one branch is off by twice as much on the other as one from both.
+            branches = 2.0 if done.one_way else 1.0
+            plays = ((of_bias, triad.hysteresis, False), (of_scale, triad.scale_factor_hysteresis, True))
+            for constant, stated, scaled in plays:
+                if not any(isinstance(term, Hysteresis) and bool(term.signals) == scaled for term in c.terms):
+                    size = np.hypot.reduce([float(p.prior) * float(p.width) for p in stated], initial=0.0)
+                    yield "hysteresis", branches * float(size), constant
         if c.term(TEMPERATURE_GRADIENT) is None:
-            add("bias from dT/dt", triad.gradient_std, carried * answers.gradient[number])
+            yield "bias from dT/dt", triad.gradient_std, carried * answers.gradient[number]
         if done is None:
             by_bias, by_scale = slopes_of(sensor, c.kind)
-            slope = by_bias * constants[BIAS] + by_scale * constants[SCALE_FACTOR]
+            slope = by_bias * of_bias + by_scale * of_scale
         else:
             slope = _slopes(model, c, done)
-        add("offset of the temperature", float(sensor.temperature_offset or 0.0), slope)
-        add("lag of the temperature", lag, carried * answers.lag[number])
-    return {name: namespace(*of).stack(of, axis=1) for name, of in columns.items()}
+        yield "offset of the temperature", float(sensor.temperature_offset or 0.0), slope
+        yield "lag of the temperature", lag, carried * answers.lag[number]
 
 
 def _of_table(built: BuiltImu, spec: Spec) -> tuple[dict[str, float], float]:
     """Relative errors of the gyros' scale factor by the table, by name, and its backlash, rad; zero where the unit's
     model estimates the gears."""
     table, gyro = spec.rig.table, spec.sensor.gyro
-    scales, lashes = np.reshape(built.gears, (-1, 2)).T
+
+    def largest(name: str, of_gears: int) -> float:
+        if any(gear[of_gears] for gear in built.gears):
+            return 0.0
+        return max(float(getattr(axis.angle, name) or 0.0) for axis in table.axis)
+
     # A table of several axes sees the directions of the input axes.
     seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
     mounting = 0.0 if seen else float(table.mounting[0].accuracy)
-    scale = 0.0 if np.any(scales) else max(float(axis.angle.scale_error or 0.0) for axis in table.axis)
-    backlash = 0.0 if np.any(lashes) else max(float(axis.angle.backlash or 0.0) for axis in table.axis)
-    return {BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, SCALE_OF_ANGLE: scale}, backlash
+    scales = {BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, SCALE_OF_ANGLE: largest("scale_error", 0)}
+    return scales, largest("backlash", 1)
 
 
-def _estimates_plays(channel: Channel, name: str) -> bool:
-    """Whether plays of a channel's map are parameters."""
-    plays = (term for term in channel.terms if isinstance(term, Hysteresis))
-    return any(bool(term.signals) == (name == SCALE_FACTOR) for term in plays)
-
-
-def _constant(model: ImuModel, channel: Channel, name: str) -> np.ndarray:
-    """Parameters `(p,)` of a channel's term that is 1 everywhere; zero without the term."""
-    column, term = np.zeros(model.size), channel.term(name)
-    if isinstance(term, Map):
-        column[model.where(channel.kind, channel.axis, name)] = term.constant
+def _column(model: ImuModel, channel: Channel, name: str, own: Callable[[Map], np.ndarray]) -> np.ndarray:
+    """Parameters `(p,)`, of a channel's map alone; zero without the map."""
+    column, term = np.zeros(model.size), channel.map(name)
+    if term is not None:
+        column[model.where(channel.kind, channel.axis, name)] = own(term)
     return column
 
 
-def _by_backlash(model: ImuModel, channel: Channel, turns: Turns) -> np.ndarray:
-    """Parameters `(p,)` of the scale factor by which turns seem larger than they are, each weighted with its size."""
-    column, term = np.zeros(model.size), channel.term(SCALE_FACTOR)
-    if isinstance(term, Map):
-        functions = np.asarray(term.values(turns.temperature_c, turns.rate)) * turns.size[:, None]
-        own = np.linalg.lstsq(functions, turns.lost * turns.size, rcond=1e-6)[0]
-        column[model.where(channel.kind, channel.axis, SCALE_FACTOR)] = own
-    return column
+def _lost(term: Map, turns: Turns) -> np.ndarray:
+    """Parameters of the scale factor by which turns seem larger than they are, each weighted with its size."""
+    functions = np.asarray(term.values(turns.temperature_c, turns.rate)) * turns.size[:, None]
+    return np.linalg.lstsq(functions, turns.lost * turns.size, rcond=1e-6)[0]
 
 
 def _slopes(model: ImuModel, channel: Channel, done: EstimatedRun) -> np.ndarray:
@@ -250,8 +251,10 @@ def widened(known: Posterior, columns: Columns) -> Posterior:
 
 def _another_run(spec: Spec, model: ImuModel) -> dict[str, np.ndarray]:
     """Columns for the bias of another power-on."""
-    sizes = [float(getattr(spec.sensor, c.kind).turn_on_bias or 0.0) for c in model.channels]
-    columns = [size * _constant(model, c, BIAS) for size, c in zip(sizes, model.channels, strict=True)]
+    columns = [
+        float(getattr(spec.sensor, c.kind).turn_on_bias or 0.0) * _column(model, c, BIAS, lambda term: term.constant)
+        for c in model.channels
+    ]
     return {TURN_ON: np.stack(columns, axis=1)} if np.any(columns) else {}
 
 
@@ -263,21 +266,20 @@ def own_of_imu(built: BuiltImu, known: Posterior | None = None) -> Posterior:
 
 def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
     """The posteriors of a unit's plan; `complete`: with what the spec omits."""
-    fit, answers = posterior_and_answers(complete, known if complete is built else None)
-    turn_on, every = _another_run(complete.spec, complete.model), unseen_columns(complete, answers)
-    whole = widened(fit, every)
-    own = whole if complete is built else own_of_imu(built, known)
-    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
+    alone = complete is built
+    fit, answers = posterior_and_answers(complete, known if alone else None)
+    columns = unseen_columns(complete, answers)
+    own = widened(fit, columns) if alone else own_of_imu(built, known)
+    columns |= _another_run(complete.spec, complete.model)
+    return CountedPosteriors(own, complete, fit, columns, alone)
 
 
 def budget_of_estimate(built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Columns) -> CountedPosteriors:
     """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
     complete = with_typical(built.spec)
     own, whole = (unseen_columns(built, done.answers, spec, done) for spec in (built.spec, complete))
-    left, columns = widened(known, own), {**whole, **noise}
-    counted = widened(known, columns) if absent_terms(built.spec) else left
-    turn_on = _another_run(complete, built.model)
-    return CountedPosteriors(left, counted, widened(counted, turn_on), built, known, columns)
+    columns = {**whole, **noise, **_another_run(complete, built.model)}
+    return CountedPosteriors(widened(known, own), built, known, columns, not absent_terms(built.spec))
 
 
 def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
@@ -292,9 +294,9 @@ def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
 def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:
     """The errors of an estimate that no residual shows, in the coefficients `names`; `reported` `(n, p)`: the engine's
     parameters to these."""
-    variance = np.sum((reported @ budget.whole.spread) ** 2, axis=1)
+    variance = np.sum((reported @ budget.judged("this run").spread) ** 2, axis=1)
     rows: list[UnseenError] = []
-    for name, columns in budget.columns.items():
+    for name, columns in budget.counted("this run").items():
         for column in (reported @ columns).T:
             large = column**2 > _NEGLIGIBLE * variance
             if np.any(large):

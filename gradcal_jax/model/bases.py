@@ -18,7 +18,9 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
 
 class Basis(PytreeModule):
-    """A finite set of functions of one variable."""
+    """A finite set of functions of one variable, of a polynomial `degree` between its breaks."""
+
+    degree: eqx.AbstractVar[int]
 
     @abstractmethod
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:

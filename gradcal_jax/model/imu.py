@@ -16,7 +16,7 @@ the misalignments m. About an ideal sensor this is a sum of terms; estimates use
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -152,15 +152,19 @@ class ImuModel(PytreeModule):
         """Number of parameters."""
         return self.calibrated + sum(term.size for term in self.installation)
 
-    def where(self, kind: ChannelKind, axis: int, term: str | None = None) -> slice:
-        """Indices of the parameters of a channel, or of one of its terms; empty where there are none."""
+    def located(self) -> Iterator[tuple[int, Channel, Term, slice]]:
+        """Every term, with the number of its channel, the channel, and the indices of its parameters."""
         begin = 0
-        for c in self.channels:
-            if (c.kind, c.axis) == (kind, axis):
-                inside = slice(0, c.size) if term is None else c.where(term)
-                return slice(begin + inside.start, begin + inside.stop)
-            begin += c.size
-        return slice(begin, begin)
+        for number, c in enumerate(self.channels):
+            for term in c.terms:
+                yield number, c, term, slice(begin, begin + term.size)
+                begin += term.size
+
+    def where(self, kind: ChannelKind, axis: int, name: str | None = None) -> slice:
+        """Indices of the parameters of a channel, or of one of its terms; empty where there are none."""
+        own = [(term.name, at) for _, c, term, at in self.located() if (c.kind, c.axis) == (kind, axis)]
+        places = [at for of, at in own if name in (None, of)]
+        return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
 
     def channel(self, kind: ChannelKind, axis: int) -> Channel | None:
         """The channel of that kind and axis, if there is one."""
@@ -190,14 +194,10 @@ class ImuModel(PytreeModule):
     def misalignments(self) -> Iterator[tuple[int, Map, slice]]:
         """The terms by which a channel senses what acts across its axis: number of the channel, term, and the indices
         of its parameters."""
-        begin = 0
-        for number, c in enumerate(self.channels):
-            across = [f"{INPUTS[c.kind]} {axis}" for k, axis in enumerate(AXIS_NAMES) if k != c.axis]
-            for term in c.terms:
-                end = begin + term.size
-                if isinstance(term, Map) and len(term.signals) == 1 and term.signals[0] in across:
-                    yield number, term, slice(begin, end)
-                begin = end
+        for number, c, term, at in self.located():
+            across = [(f"{INPUTS[c.kind]} {axis}",) for k, axis in enumerate(AXIS_NAMES) if k != c.axis]
+            if isinstance(term, Map) and term.signals in across:
+                yield number, term, at
 
     def with_misalignments(self, nodes: BodyNodes, parameters: Float[np.ndarray, " p"]) -> BodyNodes:
         """The nodes of an executed motion, of which each piece is a kind of its own, with what the sensors sense by
@@ -228,73 +228,43 @@ class ImuModel(PytreeModule):
 
     def own_columns(self, nodes: BodyNodes) -> list[AnyArray]:
         """The columns of each channel's own parameters over every piece, `(P, own)`."""
+        views = [nodes.sensed_by(c.kind, c.axis) for c in self.channels]
+        parts: list[tuple[Any, AnyArray]] = []
+        for number, _, term, at in self.located():
+            if not isinstance(term, Map):
+                parts.append(((slice(None), at), term.columns(views[number])))
         # Terms of all channels with the same functions of temperature are integrated together.
-        ends, begin = [], 0
-        parts: list[tuple] = []
-        alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]]
-        alike = [{} for _ in nodes.groups]
-        for c in self.channels:
-            view = nodes.sensed_by(c.kind, c.axis)
-            for term in c.terms:
-                end = begin + term.size
-                if isinstance(term, Map):
-                    basis = term.temperature
-                    places = np.arange(begin, end).reshape(basis.size, -1)
-                    for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
-                        if c.kind == "gyro" or not group.moving:
-                            known.setdefault(basis, []).append((places, term.drive(own)))
-                else:
-                    parts.append(((slice(None), slice(begin, end)), term.columns(view)))
-                begin = end
-            ends.append(begin)
-        for group, known in zip(nodes.groups, alike, strict=True):
-            for basis, terms in known.items():
+        for k, group in enumerate(nodes.groups):
+            alike: dict[Basis, list[tuple[np.ndarray, AnyArray]]] = {}
+            for number, c, term, at in self.located():
+                if isinstance(term, Map) and (c.kind == "gyro" or not group.moving):
+                    places = np.arange(at.start, at.stop).reshape(term.temperature.size, -1)
+                    drive = term.drive(views[number].groups[k])
+                    alike.setdefault(term.temperature, []).append((places, drive))
+            for basis, terms in alike.items():
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
                 where: tuple = group.pieces[:, None], places
                 if np.all(np.diff(places) == 1):  # (half the time)
                     where = group.pieces, slice(places[0], places[-1] + 1)
                 parts.append((where, group.sums(basis(group.temperature), drive)))
-        columns = placed((len(nodes.kind), begin), *parts)
-        return [columns[:, a:b] for a, b in pairwise([0, *ends])]
-
-    def outputs(self, nodes: BodyNodes, parameters: Float[np.ndarray, " p"]) -> list[Float[np.ndarray, " P"]]:
-        """`own_columns` times the channels' own parameters, at a part of the cost: the terms of a channel that have the
-        same functions of temperature are added at the nodes. NumPy."""
-        result, begin = list[np.ndarray](), 0
-        for c in self.channels:
-            view, total = nodes.sensed_by(c.kind, c.axis), np.zeros(len(nodes.kind))
-            drives: list[dict[Basis, np.ndarray]] = [{} for _ in view.groups]
-            for term in c.terms:
-                own, begin = parameters[begin : begin + term.size], begin + term.size
-                if not isinstance(term, Map):
-                    total += term.columns(view) @ own
-                    continue
-                factors = own.reshape(term.temperature.size, -1).T
-                for group, of, known in zip(nodes.groups, view.groups, drives, strict=True):
-                    if c.kind == "gyro" or not group.moving:
-                        drive, before = term.drive(of) @ factors, known.get(term.temperature)
-                        known[term.temperature] = drive if before is None else before + drive
-            for group, known in zip(view.groups, drives, strict=True):
-                for basis, drive in known.items():
-                    total[group.pieces] += group.sum_of_products(basis(group.temperature), drive)
-            result.append(total)
-        return result
+        columns = placed((len(nodes.kind), self.calibrated), *parts)
+        ends = np.cumsum([0, *(c.size for c in self.channels)])
+        return [columns[:, a:b] for a, b in pairwise(ends)]
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, every = np.tile(np.eye(self.size), (len(by), 1, 1)), np.arange(self.size)
-        for c in self.channels:
-            for term in c.terms:
-                if isinstance(term, Map):
-                    own = term.shifts(by)
-                    if own is None:
-                        return None
-                    names = [term.name] if term.beyond is None else [term.name, term.beyond.name]
-                    places = np.concatenate([every[self.where(c.kind, c.axis, name)] for name in names])
-                    result[:, places[:, None], places] = own
-                elif not isinstance(term, Discrepancy | GradientOfBias):
+        for _, c, term, at in self.located():
+            if isinstance(term, Map):
+                own, places = term.shifts(by), every[at]
+                if own is None:
                     return None
+                if term.beyond is not None:
+                    places = np.append(places, every[self.where(c.kind, c.axis, term.beyond.name)])
+                result[:, places[:, None], places] = own
+            elif not isinstance(term, Discrepancy | GradientOfBias):
+                return None
         return result
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:

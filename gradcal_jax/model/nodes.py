@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed, taken
 
 AXIS_NAMES = ("x", "y", "z")
 INPUTS = {"gyro": "rate", "accelerometer": "force"}
@@ -92,13 +92,8 @@ class NodeGroup(PytreeModule):
         xp = namespace(first, second)
         weights = xp.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
         return xp.reshape(
-            xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
+            xp.swapaxes(taken(weights, self.kind) @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
         )
-
-    def sum_of_products(self, first: Float[np.ndarray, "k m a"], second: Float[np.ndarray, "U q a"]) -> np.ndarray:
-        """Weighted sums over each piece `(k,)` of the products of as many functions."""
-        weights = np.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
-        return np.einsum("kam,kma->k", weights[self.kind], first)
 
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
         """`∫ … dt` over a piece of each kind."""

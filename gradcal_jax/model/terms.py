@@ -8,13 +8,14 @@ and logs use the same terms. A new source of error is one more class here.
 import importlib
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import entry_points
 from typing import Any, Final
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, BSpline, Polynomial, tensor
@@ -67,15 +68,12 @@ class Term(PytreeModule):
 
 
 class Discrepancy(Term):
-    """Functions that the structure of a map omits: products of Legendre polynomials up to those of `temperature` and
-    `rate`, without the map's own, each with standard deviation `std`. `inside`: which of all products are the map's.
-    `by_rate`: see `Map`."""
+    """Functions that the structure of a map omits: those of a `whole` map of higher degrees at `where`, which the map
+    lacks, each with standard deviation `std`."""
 
-    temperature: Polynomial
-    rate: Polynomial
+    whole: "Map"
     std: Float[AnyArray, ""]
-    inside: tuple[bool, ...] = eqx.field(static=True)
-    by_rate: bool = eqx.field(static=True)
+    where: tuple[int, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
@@ -84,13 +82,8 @@ class Discrepancy(Term):
         return True
 
     @property
-    def where(self) -> Int[np.ndarray, " size"]:
-        """Its functions among all products."""
-        return np.flatnonzero(~np.array(self.inside))
-
-    @property
     def size(self) -> int:
-        return len(self.inside) - sum(self.inside)
+        return len(self.where)
 
     def names(self) -> list[str]:
         return [f"{self.name}{k}" for k in range(self.size)]
@@ -100,15 +93,10 @@ class Discrepancy(Term):
 
     def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
         """The functions at temperatures (°C) and rates (rad/s)."""
-        return tensor(self.temperature(temperature), self.rate(rate))[..., self.where]
+        return self.whole.values(temperature, rate)[..., self.where]
 
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: NodeGroup):
-            rate = group.own_input
-            drive = self.rate(rate) * rate[..., None] if self.by_rate else self.rate(rate)
-            return group.sums(self.temperature(group.temperature), drive)[:, self.where]
-
-        return nodes.of_pieces(of_group, self.size)
+        return self.whole.columns(nodes)[:, self.where]
 
 
 class Map(Term):
@@ -123,17 +111,17 @@ class Map(Term):
     """
 
     temperature: Basis
-    rate: Basis
-    prior_std: Float[np.ndarray, "*sizes"]
-    smoothness_std: float
-    common_std: float
-    beyond: Discrepancy | None
-    by_rate: bool = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    symbol: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    signals: tuple[str, ...] = eqx.field(static=True)
-    numbered: bool = eqx.field(static=True)
+    rate: Basis = CONSTANT
+    prior_std: Float[np.ndarray, "*sizes"] = eqx.field(converter=np.asarray, default=np.inf)
+    smoothness_std: float = np.inf
+    common_std: float = 0.0
+    beyond: Discrepancy | None = None
+    by_rate: bool = eqx.field(static=True, default=False)
+    name: str = eqx.field(static=True, default=BIAS)
+    symbol: str = eqx.field(static=True, default="a")
+    unit: str = eqx.field(static=True, default="rad/s")
+    signals: tuple[str, ...] = eqx.field(static=True, default=())
+    numbered: bool = eqx.field(static=True, default=False)
 
     @property
     def size(self) -> int:
@@ -142,6 +130,11 @@ class Map(Term):
     @property
     def of_own_input(self) -> bool:
         return self.by_rate or not self.signals
+
+    @property
+    def whole(self) -> "Map":
+        """The map with the functions that it omits."""
+        return self if self.beyond is None else self.beyond.whole
 
     def names(self) -> list[str]:
         """As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th
@@ -182,13 +175,13 @@ class Map(Term):
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k s s"] | None:
         """S with `f(T + by) = f(T) S` for all T (°C), f its functions and then those that it omits; None unless these
         are polynomials of T."""
-        of = self if self.beyond is None else self.beyond
-        if not isinstance(of.temperature, Polynomial):
+        whole = self.whole
+        if not isinstance(whole.temperature, Polynomial):
             return None
-        shifts = np.kron(of.temperature.shifts(by), np.eye(of.rate.size)[None])
+        shifts = np.kron(whole.temperature.shifts(by), np.eye(whole.rate.size)[None])
         if self.beyond is None:
             return shifts
-        order = np.concatenate([np.flatnonzero(self.beyond.inside), self.beyond.where])
+        order = np.append(np.setdiff1d(np.arange(whole.size), self.beyond.where), self.beyond.where)
         return shifts[:, order[:, None], order]
 
     def prior_rows(self) -> Float[np.ndarray, "q size"]:
@@ -209,60 +202,35 @@ class Map(Term):
 
 
 def make_map(
-    temperature: Basis,
+    temperature: Basis | None,
     rate: Basis | None = None,
     *,
-    name: str = BIAS,
-    symbol: str = "a",
-    unit: str = "rad/s",
-    signals: tuple[str, ...] = (),
-    numbered: bool = False,
-    prior_std: float | np.ndarray = np.inf,
-    smoothness_std: float = np.inf,
-    common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
+    **named: Any,
 ) -> Map:
-    """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
+    """A map from plain numbers (SI), `named` as its fields; None: the constant. `discrepancy` is (standard deviation,
+    highest degree in T, highest degree in ω).
 
     Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
     """
-    beyond, by_rate, rate = None, rate is not None, rate or CONSTANT
-    if discrepancy is not None:
-        if not (isinstance(temperature, Polynomial) and isinstance(rate, Polynomial)):
-            raise ValueError(
-                "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
-            )
-        std, highest, fastest = discrepancy
-        whole = temperature.raised(highest), rate.raised(fastest if by_rate else 0)
-        inside = np.zeros([basis.size for basis in whole], bool)
-        inside[: temperature.size, : rate.size] = True
-        if np.all(inside):
-            raise ValueError(
-                "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
-            )
-        beyond = Discrepancy(
-            temperature=whole[0],
-            rate=whole[1],
-            std=np.asarray(std),
-            inside=tuple(inside.ravel().tolist()),
-            by_rate=by_rate,
-            name=DISCREPANCY.format(name),
-            unit=unit,
+    bases = {"temperature": temperature or CONSTANT, "rate": rate or CONSTANT}
+    of = Map(**bases, by_rate=rate is not None, **named)
+    if discrepancy is None:
+        return of
+    if not (isinstance(of.temperature, Polynomial) and isinstance(of.rate, Polynomial)):
+        raise ValueError(
+            "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
         )
-    return Map(
-        temperature=temperature,
-        rate=rate,
-        prior_std=np.asarray(prior_std),
-        smoothness_std=smoothness_std,
-        common_std=common_std,
-        beyond=beyond,
-        by_rate=by_rate,
-        name=name,
-        symbol=symbol,
-        unit=unit,
-        signals=signals,
-        numbered=numbered,
-    )
+    std, highest, fastest = discrepancy
+    raised = of.temperature.raised(highest), of.rate.raised(fastest if of.by_rate else 0)
+    beyond = np.ones([basis.size for basis in raised], bool)
+    beyond[: of.temperature.size, : of.rate.size] = False
+    if not np.any(beyond):
+        raise ValueError("the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing")
+    whole = replace(of, temperature=raised[0], rate=raised[1])
+    where = tuple(np.flatnonzero(beyond).tolist())
+    name = DISCREPANCY.format(of.name)
+    return replace(of, beyond=Discrepancy(whole=whole, std=np.asarray(std), where=where, name=name, unit=of.unit))
 
 
 def _prior_with_common(

@@ -21,6 +21,16 @@ def specs_at_places(spec: Spec) -> dict[str, Spec]:
     return {place.name: _at(spec, place) for place in spec.rig.table.place} or {"": spec}
 
 
+def hung_alike(spec: Spec) -> list[tuple[Spec, list[str]]]:
+    """The spec of the IMU at each place that hangs differently, with the names of the places that hang so; of a table
+    without places the spec itself."""
+    alike: dict[str, tuple[Spec, list[str]]] = {}
+    for name, at in specs_at_places(spec).items():
+        hung = [m.model_dump(exclude={"name"}) for m in at.rig.table.mounting]
+        alike.setdefault(repr((hung, at.sensor.model_dump())), (at, []))[1].append(name)
+    return list(alike.values())
+
+
 def places_of(spec: Spec, names: Sequence[str]) -> dict[str, str]:
     """The place of every IMU of a log: that of its name, or else the first IMU at the first place and so on.
 

@@ -76,7 +76,7 @@ class RequirementRow(Section):
     @property
     def decisive(self) -> float | None:
         """The value of the requirement's own statistic, by the spec's terms alone; None: not observable."""
-        return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+        return getattr(self, self.statistic.replace(" ", "_"))
 
     @property
     def judged(self) -> float | None:

@@ -2,7 +2,7 @@
 computes nothing."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 from unicodedata import category
 
@@ -41,7 +41,7 @@ def _cut(text: str, width: int = WIDTH) -> str:
 
 def _listing(value: object) -> list[str]:
     """Class and fields: on one line, or else a line for each field."""
-    name, fields = type(value).__name__, dict(_fields(value))
+    name, fields = type(value).__name__, _fields(value)
     whole = f"{name}({', '.join(f'{key}={_brief(entry)}' for key, entry in fields.items())})"
     if len(whole) <= WIDTH:
         return [whole]
@@ -51,19 +51,16 @@ def _listing(value: object) -> list[str]:
     return [name if title is None else f"{name}: {title}", *rows]
 
 
-def _fields(value: object) -> Iterator[tuple[str, Any]]:
-    """The public fields of a named tuple, a dataclass or a model, except those that are empty, and the numbers and
-    texts that equal the default of a model."""
-    kind: Any = type(value)
-    model = getattr(kind, "model_fields", {})
-    names = getattr(kind, "_fields", None) or model or [field.name for field in dataclasses.fields(kind)]
-    for name in names:
-        entry = getattr(value, name)
-        absent = entry is None or (isinstance(entry, str | tuple | list | dict) and not entry)
-        if not absent and name in model and isinstance(entry, str | float | int):
-            absent = entry == model[name].default
-        if not absent and not name.startswith("_"):
-            yield name, entry
+def _fields(value: Any) -> dict[str, Any]:
+    """The public fields of a named tuple, a dataclass or a model that are not empty; of a model those that were set."""
+    if dataclasses.is_dataclass(value):
+        names = [field.name for field in dataclasses.fields(value)]
+    else:
+        kind: Any = type(value)
+        names = getattr(kind, "_fields", None) or [name for name in kind.model_fields if name in value.model_fields_set]
+    entries = {name: getattr(value, name) for name in names if not name.startswith("_")}
+    empty = (None, "", (), [], {})
+    return {name: entry for name, entry in entries.items() if hasattr(entry, "shape") or entry not in empty}
 
 
 def _brief(value: Any) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from gradcal_jax.tables.display import printable
 from gradcal_jax.tables.sizes import check_size
 from gradcal_jax.tables.writing import whole
 
-_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _MOST_ENTRIES: Final = 10_000
 
 
@@ -29,12 +28,11 @@ def load_netcdf(path: str | Path) -> Any:
     """
     path = Path(path)
     with path.open("rb") as opened:
-        if not _signed(opened):
-            opened.seek(0)
-            begin = opened.read(4096)
-            text = bool(begin) and all(byte >= 32 or byte in b"\t\r\n" for byte in begin)
-            hint = ", but a text file: name it .csv, and describe its columns with --columns" if text else ""
-            raise NetcdfError(f"it is not a netCDF 4 file{hint}")
+        begin = opened.read(4096)
+    if not import_module("h5py").is_hdf5(path):
+        text = bool(begin) and all(byte >= 32 or byte in b"\t\r\n" for byte in begin)
+        hint = ", but a text file: name it .csv, and describe its columns with --columns" if text else ""
+        raise NetcdfError(f"it is not a netCDF 4 file{hint}")
     try:
         _check(path)
         return _load(path)
@@ -124,15 +122,6 @@ class _Growing(FileIO):
         count = super().readinto(view) or 0
         view[count:] = bytes(len(view) - count)
         return len(view)
-
-
-def _signed(opened: BinaryIO) -> bool:
-    """HDF5's signature is at byte 0, or after a user block of 512, 1024, 2048, … bytes."""
-    at = 0
-    while len(begin := opened.read(len(_SIGNATURE))) == len(_SIGNATURE) and begin != _SIGNATURE:
-        at = max(512, 2 * at)
-        opened.seek(at)
-    return begin == _SIGNATURE
 
 
 def _check(path: Path) -> None:

@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping
 from decimal import Context, Decimal, localcontext
+from fractions import Fraction
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-Powers = tuple[int, ...]
-"""Exponents of rad, s, K and m, each *doubled* so that square roots stay whole numbers."""
+Powers = tuple[int | Fraction, ...]
+"""Exponents of rad, s, K and m."""
 PRECISE: Final = Context(prec=60)
 _PI: Final = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 # What may stand before "m", "s" and so on: "mrad urad".
 _PREFIXES: Final = {"n": "1e-9", "u": "1e-6", "m": "1e-3", "c": "1e-2", "k": "1e3", "M": "1e6"}
-_RATIO, _ANGLE, _TIME = (0, 0, 0, 0), (2, 0, 0, 0), (0, 2, 0, 0)
-_KELVIN, _LENGTH = (0, 0, 2, 0), (0, 0, 0, 2)
-_RATE, _ACCELERATION, _FREQUENCY = (2, -2, 0, 0), (0, -4, 0, 2), (0, -2, 0, 0)
+_RATIO, _ANGLE, _TIME = (0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0)
+_KELVIN, _LENGTH = (0, 0, 1, 0), (0, 0, 0, 1)
+_RATE, _ACCELERATION, _FREQUENCY = (1, -1, 0, 0), (0, -2, 0, 1), (0, -1, 0, 0)
 # Names, the prefixes of the first one, its SI value as a ratio (of π, where it is an angle of a part of a turn), and
 # what it measures.
 _ROWS: Final[tuple[tuple[str, str, Decimal | int | str, Decimal | int, Powers], ...]] = (

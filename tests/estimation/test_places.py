@@ -11,7 +11,8 @@ from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model.build import build_imu, geometry
+from gradcal_jax.model.build import build_imu
+from gradcal_jax.motion.plan_motion import geometry
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.bench import Place
 from gradcal_jax.spec.changes import tables_of

@@ -16,6 +16,7 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 from simulated_devices.wire import Wire, line_to
 
 from gradcal_jax.cli import main
+from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers import lines, registers
 from gradcal_jax.hardware.interlocks import InterlockLimits
@@ -24,13 +25,12 @@ from gradcal_jax.hardware.roles import STANDARD_GRAVITY
 from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import (
-    EARTH_RATE,
+    FACTORS,
     ErrorTerm,
     ImuTruth,
     SimulatedImu,
     TableTruth,
     TriadTruth,
-    own_input,
 )
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import track_of
@@ -97,8 +97,8 @@ EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
 
 def perfect(*, scale_factor=0.0, clock_error=0.0):
     """A unit without noise, whose gyros have a scale-factor error."""
-    errors = (ErrorTerm(np.full((3, 1, 1), scale_factor), lambda t: np.ones((len(t), 1)), own_input),)
-    triads = {"gyro": TriadTruth(errors, 0.0), "accelerometer": TriadTruth((), 0.0)}
+    error = ErrorTerm(np.full((3, 1, 1), scale_factor), None, FACTORS["scale_factor"])
+    triads = {"gyro": TriadTruth({"scale_factor": error}, 0.0), "accelerometer": TriadTruth({}, 0.0)}
     return ImuTruth(triads, clock_error=clock_error)
 
 

@@ -27,13 +27,14 @@ def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch):
 def test_load_trails_a_ramp_by_its_time_constants():
     truth = ChamberTruth(start_c=0.0, air_time_constant_s=40.0, load_time_constant_s=240.0)
     plant = ChamberPlant(truth)
-    plant.switch(0.0, True)
-    plant.move_set_point(0.0, 0.0)
+    plant.conditioning = True
+    plant.set_point_c = 0.0
     plant.command(0.0, target_c=60.0, gradient_k_per_min=1.0)
     now = 3000.0
-    assert plant.set_point_c(now) == pytest.approx(50.0, abs=1e-9)
-    assert plant.set_point_c(now) - plant.air_c(now) == pytest.approx(40.0 / 60.0, rel=0.02)
-    assert plant.air_c(now) - plant._load_c == pytest.approx(240.0 / 60.0, rel=0.01)
+    plant.at(now)
+    assert plant.set_point_c == pytest.approx(50.0, abs=1e-9)
+    assert plant.set_point_c - plant.air_c == pytest.approx(40.0 / 60.0, rel=0.02)
+    assert plant.air_c - plant._load_c == pytest.approx(240.0 / 60.0, rel=0.01)
     before, after = plant.load_at(np.array([now - 60.0, now]))
     assert after - before == pytest.approx(1.0, rel=0.01)
 
@@ -96,7 +97,7 @@ def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts():
 
 def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once():
     drifts = (Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0))
-    truth = ImuTruth({"gyro": TriadTruth((), white=0.01, walk=1e-3, drifts=drifts)})
+    truth = ImuTruth({"gyro": TriadTruth({}, white=0.01, walk=1e-3, drifts=drifts)})
     one, many = (sensor_on_table(VirtualClock(), truth, seed=9) for _ in range(2))
     whole = one.take(400).rate_dps
     parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])

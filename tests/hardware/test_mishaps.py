@@ -69,8 +69,8 @@ def weld_on(rig, k_per_min=6.0):
     plant = rig.chamber.plant
 
     def heats(step_s):
-        plant._air_c += k_per_min / 60.0 * step_s
-        plant._load_c = plant._air_c
+        plant.air_c += k_per_min / 60.0 * step_s
+        plant._load_c = plant.air_c
 
     plant._step = heats
 

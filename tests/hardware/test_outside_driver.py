@@ -39,7 +39,7 @@ class SimulatedAcme:
 
     def _line(self, line):
         now = self._clock.now()
-        answers = {b"T?": self.plant.air_c(now), b"SP?": self.setpoint, b"ON?": int(self.on), b"SN?": 4711}
+        answers = {b"T?": self.plant.at(now).air_c, b"SP?": self.setpoint, b"ON?": int(self.on), b"SN?": 4711}
         if line in answers:
             return f"{answers[line]:.2f}\n".encode()
         if line.startswith(b"SP "):
@@ -47,7 +47,7 @@ class SimulatedAcme:
             self.plant.command(now, target_c=self.setpoint)
         elif line in (b"ON", b"OFF"):
             self.on = line == b"ON"
-            self.plant.switch(now, self.on)
+            self.plant.at(now).conditioning = self.on
         return b""
 
 

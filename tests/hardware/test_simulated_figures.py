@@ -7,7 +7,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import SimulatedImu, one
+from gradcal_jax.hardware.simulate.imu import SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.spec import presets
 
@@ -86,9 +86,9 @@ def test_functions_beyond_the_maps_have_the_size_that_the_spec_says():
     known = draw_truth(OF_BIAS, 3, 0)
     drawn = [draw_truth(gj.changed(OF_BIAS, HIDDEN), seed, 0) for seed in range(200)]
     assert drawn[3].names == known.names
-    beyond = [error for truth in drawn for error in truth.triads["gyro"].errors[len(known.triads["gyro"].errors) :]]
-    scales = np.array([error.values[0].T for error in beyond if error.factors is not one])
-    biases = np.array([error.values[0, 0] for error in beyond if error.factors is one])
+    errors = [truth.triads["gyro"].errors for truth in drawn]
+    scales = np.array([of["scale_factor_discrepancy"].values[0].T for of in errors])
+    biases = np.array([of["bias_discrepancy"].values[0, 0] for of in errors])
     gyro = OF_BIAS.sensor.gyro
     in_map = np.zeros((6, 5), bool)
     in_map[: gyro.scale_factor.temperature.size, : gyro.scale_factor.rate.size] = True

@@ -5,7 +5,6 @@ import threading
 from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,31 @@ from gradcal_jax.formulas import lag_filter
 Floats = NDArray[np.float64]
 # How an uncontrolled temperature wavers.
 _WAVERS_K, _WAVES_S = 0.7, 210.0
+
+
+def decayed(driving: Floats, keep: Floats | float, begun: Floats | float) -> Floats:
+    """`x[k] = keep · x[k - 1] + driving[k]` along the last axis, after `begun`: sums of twice as many, and so on."""
+    states, reach = driving.copy(), 1
+    states[..., :1] += keep * begun
+    while reach < states.shape[-1]:
+        states[..., reach:] += keep * states[..., :-reach]
+        reach, keep = 2 * reach, keep * keep
+    return states
+
+
+class Mass:
+    """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
+
+    def __init__(self, temperature_c: float, time_s: float) -> None:
+        self._time_s, self._given, self._own = time_s, temperature_c, temperature_c
+
+    def take(self, temperature_c: Floats, period_s: float) -> Floats:
+        """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
+        (share, before), (_, lost) = lag_filter(period_s, self._time_s)
+        given = np.concatenate([[self._given], temperature_c])
+        own = decayed(share * given[1:] + before * given[:-1], -lost, self._own)
+        self._given, self._own = float(given[-1]), float(own[-1])
+        return own
 
 
 @dataclass(frozen=True)
@@ -38,8 +62,8 @@ class ChamberPlant:
     def __init__(self, truth: ChamberTruth, start_s: float = 0.0) -> None:
         self.truth = truth
         self.conditioning = False
-        self._air_c = self._load_c = truth.start_c
-        self._target_c = self._set_point_c = truth.ambient_c
+        self.air_c = self._load_c = truth.start_c
+        self.set_point_c = self._target_c = truth.ambient_c
         # 0: the set point does not move by itself.
         self._gradient_k_per_s = 0.0
         self._times_s, self._loads_c = [start_s], [truth.start_c]
@@ -47,56 +71,45 @@ class ChamberPlant:
 
     def command(self, now_s: float, *, target_c: float, gradient_k_per_min: float | None = None) -> None:
         """New target; with a gradient the set point moves there continuously, else it jumps."""
-        self.advance(now_s)
-        self._target_c = target_c
+        self.at(now_s)._target_c = target_c
+        self._gradient_k_per_s = abs(gradient_k_per_min or 0.0) / 60.0
         if gradient_k_per_min is None:
-            self._gradient_k_per_s, self._set_point_c = 0.0, target_c
-        else:
-            self._gradient_k_per_s = abs(gradient_k_per_min) / 60.0
-
-    def move_set_point(self, now_s: float, set_point_c: float) -> None:
-        self.advance(now_s)
-        self._set_point_c = set_point_c
-
-    def switch(self, now_s: float, conditioning: bool) -> None:
-        self.advance(now_s)
-        self.conditioning = conditioning
-
-    def air_c(self, now_s: float) -> float:
-        self.advance(now_s)
-        return self._air_c
-
-    def set_point_c(self, now_s: float) -> float:
-        self.advance(now_s)
-        return self._set_point_c
+            self.set_point_c = target_c
 
     def load_at(self, times_s: Floats) -> Floats:
         """Temperature of the load at recent times, `(n,) -> (n,)`."""
         with self._lock:
-            self.advance(float(times_s[-1]))
+            self.at(float(times_s[-1]))
             first = max(bisect(self._times_s, times_s[0]) - 1, 0)
             return np.interp(times_s, self._times_s[first:], self._loads_c[first:])
 
-    def advance(self, now_s: float) -> None:
+    def at(self, now_s: float) -> "ChamberPlant":
+        """The same plant, at that time: its air, set point and state can be read and set."""
         with self._lock:
             while (time_s := self._times_s[-1]) < now_s:
-                step = min(self._LONGEST_STEP_S, now_s - time_s)
-                self._step(step)
-                self._times_s.append(time_s + step)
+                step_s = min(self._LONGEST_STEP_S, now_s - time_s)
+                self._step(step_s)
+                self._times_s.append(time_s + step_s)
                 self._loads_c.append(self._load_c)
             if len(self._times_s) > 4000:
                 del self._times_s[:2000], self._loads_c[:2000]
+        return self
 
-    def _step(self, step: float) -> None:
-        truth, way = self.truth, self._target_c - self._set_point_c
-        self._set_point_c += math.copysign(min(abs(way), self._gradient_k_per_s * step), way)
+    def _step(self, step_s: float) -> None:
+        truth, way_k = self.truth, self._target_c - self.set_point_c
+        self.set_point_c += math.copysign(min(abs(way_k), self._gradient_k_per_s * step_s), way_k)
         if self.conditioning:
-            change = (self._set_point_c - self._air_c) * -math.expm1(-step / truth.air_time_constant_s)
-            lowest, highest = -truth.cooling_k_per_min / 60.0 * step, truth.heating_k_per_min / 60.0 * step
-            self._air_c += min(max(change, lowest), highest)
+            change_k = (self.set_point_c - self.air_c) * _share(step_s, truth.air_time_constant_s)
+            lowest_k, highest_k = -truth.cooling_k_per_min / 60.0 * step_s, truth.heating_k_per_min / 60.0 * step_s
+            self.air_c += min(max(change_k, lowest_k), highest_k)
         else:
-            self._air_c += (truth.ambient_c - self._air_c) * -math.expm1(-step / truth.idle_time_constant_s)
-        self._load_c += (self._air_c - self._load_c) * -math.expm1(-step / truth.load_time_constant_s)
+            self.air_c += (truth.ambient_c - self.air_c) * _share(step_s, truth.idle_time_constant_s)
+        self._load_c += (self.air_c - self._load_c) * _share(step_s, truth.load_time_constant_s)
+
+
+def _share(step_s: float, time_constant_s: float) -> float:
+    """Of its distance, how much a first-order lag goes in a step."""
+    return -math.expm1(-step_s / time_constant_s)
 
 
 class UncontrolledRoom:
@@ -109,28 +122,6 @@ class UncontrolledRoom:
 
     def load_at(self, times_s: Floats) -> Floats:
         return np.interp(times_s, self._times, self._values)
-
-
-class Mass:
-    """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
-
-    def __init__(self, temperature_c: float, time_s: float) -> None:
-        self._time_s, self._given, self._own = time_s, temperature_c, temperature_c
-
-    def take(self, temperature_c: Floats, period_s: float) -> Floats:
-        """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
-        numerator, denominator = lag_filter(period_s, self._time_s)
-        state = np.array([numerator[1] * self._given - denominator[1] * self._own])
-        result = filtered(numerator, denominator, temperature_c, state)
-        self._given, self._own = float(temperature_c[-1]), float(result[-1])
-        return result
-
-
-def filtered(numerator: Any, denominator: Any, values: Floats, state: Floats) -> Floats:
-    """A recursive filter along the first axis. SciPy's signals take their time to load."""
-    from scipy import signal  # pyright: ignore[reportMissingTypeStubs]
-
-    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]  # pyright: ignore
 
 
 @dataclass(frozen=True)
@@ -174,7 +165,7 @@ class AxisPlant:
         """Stand still at `position_deg` from now on (the end of homing)."""
         # Phases: start (s), angle (deg), rate and acceleration of the motor, and where the axis itself stands, within
         # half of its backlash.
-        self._phases = np.array([[now_s, position_deg, 0.0, 0.0, position_deg]])
+        self._phases: list[tuple[float, ...]] = [(now_s, position_deg, 0.0, 0.0, position_deg)]
         # The last spin: its start, the excess angle by then, and the fraction of excess.
         self._spun = (0.0, 0.0, 0.0)
 
@@ -182,19 +173,21 @@ class AxisPlant:
         """True angle of the axis itself, deg, unwrapped: `(n,) -> (n,)`."""
         with self._lock:
             self._known_until_s = max(self._known_until_s, float(times_s[-1]))
-            return self._at(times_s, self._phases)[2] * (1.0 - self.truth.scale_error)
+            return self._axis(times_s) * (1.0 - self.truth.scale_error)
 
     def state(self, now_s: float) -> tuple[float, float]:
         """Angle and rate of the motor."""
-        position, rate, _ = self._at(np.array([now_s]), self._phases)
-        return float(position[0]), float(rate[0])
+        with self._lock:
+            start_s, begun, rate, slope, _ = self._since(now_s)[0]
+        after_s = max(now_s - start_s, 0.0)
+        return begun + rate * after_s + 0.5 * slope * after_s**2, rate + slope * after_s
 
     @property
     def ends_s(self) -> float:
-        return float(self._phases[-1, 0])
+        return self._phases[-1][0]
 
     def moving(self, now_s: float) -> bool:
-        return now_s < self.ends_s or bool(self._phases[-1, 2])
+        return now_s < self.ends_s or bool(self._phases[-1][2])
 
     def reading(self, now_s: float) -> float:
         truth, random = self.truth, self._random
@@ -208,50 +201,46 @@ class AxisPlant:
 
     def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Go to a constant rate and stay there; with rate 0 a controlled stop."""
-        self._command(now_s, None, rate_dps, acceleration_dps2)
+        with self._lock:
+            now_s = max(now_s, self._known_until_s)
+            position, rate = self.state(now_s)
+            wanted = self._held(position, rate_dps)
+            # A phase does not reverse.
+            changes = [-rate, wanted] if rate * wanted < 0.0 else [wanted - rate]
+            parts = [(abs(change) / acceleration_dps2, math.copysign(acceleration_dps2, change)) for change in changes]
+            self._follow(now_s, parts, wanted)
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; a motion under way is stopped first."""
-        self._command(now_s, target_deg, rate_dps, acceleration_dps2)
-
-    def turn_by_hand(self, begins_s: float, target_deg: float, lasts_s: float) -> None:
-        """A turn from standstill in a time, of which the ramps at both ends are a quarter each."""
-        way_deg = abs(target_deg - self.state(begins_s)[0])
-        rate_dps = max(way_deg, 1e-9) / (0.75 * lasts_s)
-        self.move_to(begins_s, target_deg, rate_dps, rate_dps / (0.25 * lasts_s))
-
-    def _command(self, now_s: float, target_deg: float | None, rate_dps: float, acceleration_dps2: float) -> None:
         with self._lock:
-            begins_s = now_s = max(now_s, self._known_until_s)
+            now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
-            wanted = 0.0 if target_deg is not None else self._held(position, rate_dps)
-            phases: list[tuple[float, ...]] = []
-            if rate != wanted:
-                phases.append((now_s, position, rate, math.copysign(acceleration_dps2, wanted - rate)))
-                lasts_s = abs(wanted - rate) / acceleration_dps2
-                now_s, position = now_s + lasts_s, position + (rate + wanted) / 2.0 * lasts_s
-            if target_deg is not None:
-                self._held(position, 0.0)
-                target_deg += self._too_far(position)
-                way = target_deg - position
-                peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
-                if peak > 0.0:
-                    up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
-                    sign = math.copysign(1.0, way)
-                    ramp, slope = 0.5 * peak * up * sign, sign * acceleration_dps2
-                    phases.append((now_s, position, 0.0, slope))
-                    phases.append((now_s + up, position + ramp, sign * peak, 0.0))
-                    phases.append((now_s + up + cruise, target_deg - ramp, sign * peak, -slope))
-                    now_s, position = now_s + up + cruise + up, target_deg
-            phases.append((now_s, position, wanted, 0.0))
-            self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())
-            table = self._phases
-            rows = [table[table[:, 0] < begins_s][-100:]]
-            for phase in phases:
-                stands = self._at(np.array([phase[0]]), table)[2]
-                rows.append(np.array([[*phase, *stands]]))
-                table = np.concatenate(rows)
-            self._phases = table
+            stop_s = abs(rate) / acceleration_dps2
+            parts = [(stop_s, math.copysign(acceleration_dps2, -rate))]
+            position += 0.5 * rate * stop_s
+            self._held(position, 0.0)
+            way = target_deg + self._too_far(position) - position
+            peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
+            if peak > 0.0:
+                ramp_s, slope = peak / acceleration_dps2, math.copysign(acceleration_dps2, way)
+                parts += [(ramp_s, slope), (abs(way) / peak - ramp_s, 0.0), (ramp_s, -slope)]
+            self._follow(now_s, parts, 0.0, position + way)
+
+    def _follow(
+        self, now_s: float, parts: list[tuple[float, float]], final_dps: float, ends_deg: float | None = None
+    ) -> None:
+        """Accelerate from now on: for a time (s) and by so much, one after the other; then keep a rate."""
+        self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())
+        begun = *self.state(now_s), float(self._axis(np.array([now_s]))[0])
+        self._phases = [phase for phase in self._phases[-100:] if phase[0] < now_s]
+        for lasts_s, slope in parts:
+            if lasts_s > 0.0:
+                position, rate, axis = begun
+                self._phases.append((now_s, position, rate, slope, axis))
+                now_s += lasts_s
+                begun = *self.state(now_s), float(self._axis(np.array([now_s]))[0])
+        position, _, axis = begun
+        self._phases.append((now_s, position if ends_deg is None else ends_deg, final_dps, 0.0, axis))
 
     def _held(self, position_deg: float, rate_dps: float) -> float:
         error = self.truth.rate_accuracy * float(self._random.standard_normal()) if rate_dps else 0.0
@@ -263,18 +252,22 @@ class AxisPlant:
         began_deg, before_deg, share = self._spun
         return before_deg + share * (position_deg - began_deg)
 
-    def _at(self, times_s: Floats, phases: Floats) -> tuple[Floats, Floats, Floats]:
-        """Angle and rate of the motor, and angle of the axis behind its backlash."""
-        number = np.clip(np.searchsorted(phases[:, 0], times_s, side="right") - 1, 0, None)
-        start, begun, rate, slope, axis = phases[number].T
-        after = np.maximum(times_s - start, 0.0)
-        motor = begun + rate * after + 0.5 * slope * after**2
-        if not self.truth.backlash_deg:
-            return motor, rate + slope * after, motor
-        # A phase may reverse once, where its rate is zero.
-        turns = np.clip(-rate / np.where(slope == 0.0, np.inf, slope), 0.0, after)
-        farthest = begun + rate * turns + 0.5 * slope * turns**2
+    def _since(self, time_s: float) -> list[tuple[float, ...]]:
+        """The phase of a time, and those after it."""
+        return self._phases[max(bisect(self._phases, (time_s, math.inf)) - 1, 0) :]
+
+    def _axis(self, times_s: Floats) -> Floats:
+        """Angles of the axis behind its backlash."""
+        first, *later = self._since(float(times_s[0]))
+        angles = self._axis_in(first, times_s)
+        for phase in later:
+            if phase[0] <= times_s[-1]:
+                angles = np.where(times_s < phase[0], angles, self._axis_in(phase, times_s))
+        return angles
+
+    def _axis_in(self, phase: tuple[float, ...], times_s: Floats) -> Floats:
+        start_s, begun, rate, slope, axis = phase
+        after_s = np.maximum(times_s - start_s, 0.0)
+        motor = begun + rate * after_s + 0.5 * slope * after_s**2
         half = 0.5 * self.truth.backlash_deg
-        for reached in (farthest, motor):
-            axis = np.clip(axis, reached - half, reached + half)
-        return motor, rate + slope * after, axis
+        return np.clip(axis, motor - half, motor + half) if half else motor

@@ -34,7 +34,7 @@ class SimulatedEspec:
         """Somebody starts a program at the panel."""
         self.mode = "RUN"
         self.plant.command(self._clock.now(), target_c=end_c, gradient_k_per_min=0.5)
-        self.plant.switch(self._clock.now(), True)
+        self.plant.conditioning = True
 
     def _line(self, line):
         text = line.decode("latin-1").strip()
@@ -46,8 +46,9 @@ class SimulatedEspec:
 
     def _answer(self, text):
         now = self._clock.now()
-        set_point = self.plant.set_point_c(now) if self.mode == "RUN" else self.constant_c
-        temperatures = (self.plant.air_c(now), set_point, self.high_c, self.low_c)
+        plant = self.plant.at(now)
+        set_point = plant.set_point_c if self.mode == "RUN" else self.constant_c
+        temperatures = (plant.air_c, set_point, self.high_c, self.low_c)
         answers = {
             "ROM?": "P3S1.10",
             "TYPE?": "T,P300,140.0",
@@ -75,4 +76,4 @@ class SimulatedEspec:
         now, self.mode = self._clock.now(), mode
         if mode == "CONSTANT":
             self.plant.command(now, target_c=self.constant_c)
-        self.plant.switch(now, mode == "CONSTANT")
+        self.plant.at(now).conditioning = mode == "CONSTANT"

@@ -30,7 +30,7 @@ class SimulatedCts:
 
     def _run(self, on):
         self.running = on
-        self.plant.switch(self._clock.now(), on)
+        self.plant.at(self._clock.now()).conditioning = on
 
     def _framed(self, text):
         body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
@@ -47,7 +47,7 @@ class SimulatedCts:
     def _answer(self, text):
         now = self._clock.now()
         if text == "A0":
-            return f"A0 {self.plant.air_c(now):05.1f} {self.plant.set_point_c(now):05.1f}"
+            return f"A0 {self.plant.at(now).air_c:05.1f} {self.plant.set_point_c:05.1f}"
         if text == "R1":
             on = int(min(self.up, self.down) < self._FREE)
             return f"R1 {on}{on * int(self.running)} {self.up:07.2f} {self.down:07.2f} {self.target_c:07.2f}"
@@ -68,5 +68,5 @@ class SimulatedCts:
         return ""
 
     def _regulate(self, now):
-        rate = self.up if self.target_c >= self.plant.set_point_c(now) else self.down
+        rate = self.up if self.target_c >= self.plant.at(now).set_point_c else self.down
         self.plant.command(now, target_c=self.target_c, gradient_k_per_min=rate if rate < self._FREE else None)

@@ -45,9 +45,9 @@ class SimulatedWatlowF4T(ModbusSlave):
     def word(self, register):
         # Both words of a number are of one instant.
         if register == 2820:
-            self.put(2820, self.plant.air_c(self._clock.now()))
+            self.put(2820, self.plant.at(self._clock.now()).air_c)
         elif register == 2810:
-            self.put(2810, self.plant.set_point_c(self._clock.now()))
+            self.put(2810, self.plant.at(self._clock.now()).set_point_c)
         return self.words.get(register)
 
     def write(self, register, values):
@@ -70,4 +70,4 @@ class SimulatedWatlowF4T(ModbusSlave):
         return 0
 
     def _switch(self):
-        self.plant.switch(self._clock.now(), self.words[2814] == _AUTO)
+        self.plant.at(self._clock.now()).conditioning = self.words[2814] == _AUTO

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.extend
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters import ad, batching, mlir
 
 from gradcal_jax.tables.display import summary
 
@@ -26,6 +28,8 @@ else:
 Carry = TypeVar("Carry")
 # Sums of at most so many rows each are added row by row.
 _FEW_ROWS = 16
+# Rows of a padded table of sums at most, as a multiple of those that it has without.
+_PADDED = 8
 
 
 class PytreeModule(eqx.Module):
@@ -72,7 +76,7 @@ def put(into: Any, where: Any, values: Any) -> Any:
     changed.
     """
     if namespace(into, values) is jnp:
-        return jnp.asarray(into).at[where].set(values, mode="drop", unique_indices=True)
+        return placed(np.shape(into), (..., into), (where, values))
     result = np.array(into)
     result[where] = values
     return result
@@ -81,10 +85,15 @@ def put(into: Any, where: Any, values: Any) -> Any:
 def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
     """Zeros with `[where] = values` for each part in order, without repetitions in one; NumPy writes in place."""
     if namespace(*(values for _, values in parts)) is jnp:
-        result = jnp.zeros(shape)
+        source, flat, count = np.full(shape, -1), [jnp.zeros(0)], 0
         for where, values in parts:
-            result = result.at[where].set(values, mode="drop", unique_indices=True)
-        return result
+            numbers = np.arange(source[where].size).reshape(source[where].shape)
+            flat.append(jnp.ravel(jnp.broadcast_to(values, numbers.shape)))
+            source[where] = count + numbers
+            count += numbers.size
+        filled = np.flatnonzero(source >= 0)
+        of = source.ravel()[filled]
+        return jnp.reshape(_selected(jnp.concatenate(flat), filled, of, source.size), shape)
     result = np.zeros(shape)
     for where, values in parts:
         result[where] = values
@@ -106,7 +115,60 @@ def summed(values: Any, first: np.ndarray) -> Any:
             result[longer] += values[first[longer] + k]
         return result
     number = np.repeat(np.arange(len(first)), counts)
-    return jax.ops.segment_sum(values, number, num_segments=len(first), indices_are_sorted=True)
+    return _selected(values, number, np.arange(len(number)), len(first))
+
+
+def taken(values: Any, rows: Any) -> Any:
+    """`values[rows]`, of rows in any order, and as often as it may be."""
+    if namespace(values) is np or isinstance(rows, slice | jax.Array):
+        return values[rows]
+    rows = np.arange(values.shape[0])[rows]
+    flat = _selected(values, np.arange(rows.size), rows.ravel(), rows.size)
+    return jnp.reshape(flat, (*rows.shape, *values.shape[1:]))
+
+
+def _selected(values: Any, to: np.ndarray, of: np.ndarray, size: int) -> Any:
+    """`size` rows, each the sum of those of `values` numbered `of` that go `to` it."""
+    return _selection.bind(values, selection=_Selection(to, of, size, values.shape[0]))
+
+
+class _Selection:
+    """A matrix of zeros and ones, by the rows and columns of its ones."""
+
+    def __init__(self, to: np.ndarray, of: np.ndarray, size: int, count: int) -> None:
+        self.to, self.of, self.size, self.count = to, of, size, count
+
+    def transposed(self) -> "_Selection":
+        return _Selection(self.of, self.to, self.count, self.size)
+
+    def times(self, values: Any) -> Any:
+        """The product with `(count, …)`. XLA compiles a scatter, of which JAX's own rules make many, into a loop on a
+        CPU, a dozen times as long as a gather."""
+        order = np.argsort(self.to, kind="stable")
+        to, of, counts = self.to[order], self.of[order], np.bincount(self.to, minlength=self.size)
+        most = int(np.max(counts, initial=1))
+        if most * self.size > _PADDED * (self.size + self.count):
+            return jax.ops.segment_sum(_rows(values, of), to, self.size, indices_are_sorted=True)
+        table = np.full((self.size, most), self.count, np.int32)
+        table[to, np.arange(len(to)) - (np.cumsum(counts) - counts)[to]] = of
+        if np.min(counts, initial=most) < most:
+            values = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]), values.dtype)])
+        return _rows(values, table[:, 0]) if most == 1 else jnp.sum(_rows(values, table), axis=1)
+
+
+def _rows(values: Any, numbers: np.ndarray) -> Any:
+    return values.at[numbers].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+_selection = jax.extend.core.Primitive("selection")
+_selection.def_impl(lambda values, selection: selection.times(values))
+_selection.def_abstract_eval(lambda values, selection: values.update(shape=(selection.size, *values.shape[1:])))
+mlir.register_lowering(_selection, mlir.lower_fun(lambda x, selection: selection.times(x), multiple_results=False))
+ad.deflinear2(_selection, lambda ct, _, selection: [_selection.bind(ct, selection=selection.transposed())])
+batching.primitive_batchers[_selection] = lambda of, at, selection: (
+    _selection.bind(jnp.moveaxis(of[0], at[0], -1), selection=selection),
+    of[0].ndim - 1,
+)
 
 
 def cross(a: Any, b: Any) -> Any:

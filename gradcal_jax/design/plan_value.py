@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, taken
 from gradcal_jax.design.course import ProgrammeCoordinates
 from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.design.repeated import FILTERED, RepeatedCycle, repeated_cycle
@@ -140,8 +140,8 @@ class PlanValue:
         fillers, move = len(template.duration) - len(order), np.asarray(template.pieces.move)
 
         def in_order(*columns: AnyArray, of_stays: float = 0.0) -> AnyArray:
-            whole = jnp.concatenate(columns, axis=1).ravel()[order]
-            return jnp.concatenate([whole, jnp.full(fillers, of_stays)])
+            whole = jnp.concatenate(columns, axis=1).ravel()
+            return jnp.concatenate([taken(whole, order), jnp.full(fillers, of_stays)])
 
         still = np.zeros((slots, each + parts))
         line = replace(

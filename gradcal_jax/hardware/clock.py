@@ -12,29 +12,12 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Protocol
 
 _LOOKS_S, _BESIDE_S = 0.01, 0.1
+Work = Callable[[], object]
+"""What is done in a thread of its own, or beside it."""
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
-
-
-class Clock(Protocol):
-    def now(self) -> float:
-        """Seconds since an arbitrary origin; never goes back."""
-        ...
-
-    def sleep_until(self, time_s: float) -> None:
-        """Return at `time_s` of this clock, at once if that is in the past."""
-
-    def sleep(self, duration_s: float) -> None: ...
-
-    def party(self) -> AbstractContextManager[None]:
-        """Context in which virtual time stands still unless this thread waits on the clock."""
-        ...
-
-    def begin(self, work: Callable[[], object]) -> None:
-        """Begin `work` in a thread of its own, a party of the clock."""
 
 
 class RealClock:
@@ -42,9 +25,11 @@ class RealClock:
     sleep."""
 
     def now(self) -> float:
+        """Seconds since an arbitrary origin; never goes back."""
         return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
     def sleep_until(self, time_s: float) -> None:
+        """Return at `time_s` of this clock, at once if that is in the past."""
         while (left := time_s - self.now()) > 0.0:
             time.sleep(left)
 
@@ -52,9 +37,11 @@ class RealClock:
         self.sleep_until(self.now() + duration_s)
 
     def party(self) -> AbstractContextManager[None]:
+        """Context in which virtual time stands still unless this thread waits on the clock."""
         return nullcontext()
 
-    def begin(self, work: Callable[[], object]) -> None:
+    def begin(self, work: Work) -> None:
+        """Begin `work` in a thread of its own, a party of the clock."""
         threading.Thread(target=work, daemon=True, name="beside the run").start()
 
 
@@ -103,7 +90,7 @@ class VirtualClock:
         finally:
             self._leave()
 
-    def begin(self, work: Callable[[], object]) -> None:
+    def begin(self, work: Work) -> None:
         with self._lock:
             gate = self._queue(self._now)
             self._wake_next()
@@ -142,10 +129,13 @@ class VirtualClock:
         gate.release()
 
 
+Clock = RealClock | VirtualClock
+
+
 def until(
     is_so: Callable[[], bool],
     clock: Clock,
-    duties: Callable[[], object] = lambda: None,
+    duties: Work = lambda: None,
     *,
     longest_s: float = math.inf,
     every_s: float = _LOOKS_S,
@@ -172,7 +162,7 @@ def holding(lock: threading.RLock, clock: Clock) -> Generator[None, None, None]:
 
 
 @contextmanager
-def repeating(work: Callable[[], object], every_s: float) -> Generator[None, None, None]:
+def repeating(work: Work, every_s: float) -> Generator[None, None, None]:
     """Context in which a thread of its own does `work` again and again, every so many real seconds and at the end."""
     over = threading.Event()
 
@@ -190,7 +180,7 @@ def repeating(work: Callable[[], object], every_s: float) -> Generator[None, Non
         thread.join(timeout=35.0)
 
 
-def in_thread(work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object]) -> threading.Event:
+def in_thread(work: Work, clock: Clock, failed: Callable[[Exception], object]) -> threading.Event:
     """Begin `work` in a thread of its own; `failed` gets what it raises. Returns what is set at its end."""
     over = threading.Event()
 
@@ -205,7 +195,7 @@ def in_thread(work: Callable[[], object], clock: Clock, failed: Callable[[Except
     return over
 
 
-def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None]) -> None:
+def beside(work: Work, clock: Clock, duties: Work) -> None:
     """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
     what either raises; where a duty does, nobody waits for the work any more."""
     problems: list[Exception] = []

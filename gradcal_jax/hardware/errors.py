@@ -7,12 +7,9 @@ never repeated blindly. Every message says what was observed and what to do.
 
 
 def printable(data: bytes, limit: int = 160) -> str:
-    """Bytes as text for a message: printable ASCII as it is, the rest as `\\xNN`, cut at `limit` bytes."""
-    text = "".join(chr(b) if 32 <= b < 127 and b != 92 else _ESCAPES.get(b, f"\\x{b:02x}") for b in data[:limit])
+    """Bytes as text for a message: printable ASCII as it is, the rest as Python writes it, cut at `limit` bytes."""
+    text = repr(data[:limit])[2:-1]
     return text + (f"… ({len(data)} bytes)" if len(data) > limit else "")
-
-
-_ESCAPES = {10: "\\n", 13: "\\r", 92: "\\\\"}
 
 
 class HardwareError(Exception):

@@ -24,13 +24,15 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit, missing
-from gradcal_jax.hardware.roles import Floats, ImuBatch, join
+from gradcal_jax.hardware.roles import Flags, Floats, ImuBatch, Integers, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency
 from gradcal_jax.tables.section import Section
 
 FRAMES: Final = "gradcal-frames/1"
+Rows = NDArray[np.uint8]
+"""Bytes, a row for each frame, or those of a stream."""
 Type = Literal["u8", "i8", "u16", "i16", "i24", "u24", "i32", "u32", "u64", "f32", "f64"]
 Order = Literal["big", "little"]
 At = Annotated[int, Field(strict=True, ge=0, le=999)]
@@ -83,7 +85,7 @@ class Number(Section):
         """Offset behind them."""
         return self.at + self.numbers * (int(self.type[1:]) // 8)
 
-    def of(self, rows: NDArray[np.uint8], order: Order) -> NDArray[np.generic]:
+    def of(self, rows: Rows, order: Order) -> NDArray[np.generic]:
         """`(n, length)` bytes -> `(n, numbers)`."""
         end, kind, size = ">" if order == "big" else "<", self.type[0], int(self.type[1:]) // 8
         block = np.ascontiguousarray(rows[:, self.at : self.end])
@@ -217,7 +219,7 @@ class FrameDecoder(SampleDecoder):
 
     def __init__(self, unit: FramedSensor) -> None:
         check, stamp = unit.check, unit.counter or unit.time
-        self._unit, self._stamp, self._status = unit, stamp, unit.status
+        self._unit, self._stamp = unit, stamp
         self._sync = np.frombuffer(bytes.fromhex(unit.sync), np.uint8)
         poly, init, xorout = (int(text, 16) for text in (check.poly, check.init, check.xorout))
         self._crc = CrcOfRows(check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
@@ -238,27 +240,30 @@ class FrameDecoder(SampleDecoder):
         self._arrived = np.concatenate([self._arrived, np.broadcast_to(host_time_s, len(data))])
         self._buffer += data
         length = self._unit.length
-        done = len(self._buffer) // length * length
+        if len(self._buffer) < length:
+            return join([])
         whole = np.frombuffer(self._buffer, np.uint8)
-        # Nearly always the bytes are sound frames without noise.
-        starts = np.arange(0, done, length)
-        if not self._sound(whole[:done].reshape(-1, length)).all():
-            starts, done = self._search(whole)
-        batches: list[ImuBatch] = []
-        place = 0
-        for run in np.split(starts, np.flatnonzero(np.diff(starts) != length) + 1):
-            if len(run):
-                self._noise(int(run[0]) - place)
-                place = int(run[-1]) + length
-                rows = whole[run[0] : place].reshape(-1, length)
-                batches.append(self._decode(rows, self._arrived[run + length - 1]))
-        self._noise(done - place)
+        starts, done = self._search(whole)
+        ends = np.concatenate(([0], starts + length))
+        noise = np.concatenate((starts, [done])) - ends
+        # Whether noise comes before each sample, and behind the last.
+        disturbed = noise > 0
+        disturbed[0] |= self._disturbed
+        self._disturbed = bool(disturbed[-1])
+        self.bad_bytes += int(noise.sum())
+        arrived_s = self._arrived[ends[1:] - 1]
         self._buffer, self._arrived = self._buffer[done:], self._arrived[done:]
-        return join(batches)
+        if not len(starts):
+            return join([])
+        return self._decode(sliding_window_view(whole, length)[starts], arrived_s, disturbed[:-1])
 
-    def _search(self, data: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
+    def _search(self, data: Rows) -> tuple[Integers, int]:
         """Where the sound frames begin, and where the bytes begin that more bytes may make a frame."""
         length, sync = self._unit.length, self._sync
+        # Nearly always the bytes are sound frames without noise.
+        done = len(data) // length * length
+        if self._sound(data[:done].reshape(-1, length)).all():
+            return np.arange(0, done, length), done
         windows = sliding_window_view(data, length)
         begins = np.flatnonzero((windows[:, : len(sync)] == sync).all(axis=1))
         starts: list[int] = []
@@ -273,7 +278,7 @@ class FrameDecoder(SampleDecoder):
         waiting = (at for at in rest if bytes(sync).startswith(bytes(data[at : at + len(sync)])))
         return np.array(starts, np.int64), next(waiting, len(data))
 
-    def _sound(self, rows: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def _sound(self, rows: Rows) -> Flags:
         """`(n, length) -> (n,)`: whether the sync bytes and the checksum of a frame are right."""
         check = self._unit.check
         covered = rows[:, check.start : check.at]
@@ -284,25 +289,23 @@ class FrameDecoder(SampleDecoder):
             right = self._crc(covered) == self._sent.of(rows, check.order)[:, 0]
         return right & (rows[:, : len(self._sync)] == self._sync).all(axis=1)
 
-    def _decode(self, rows: NDArray[np.uint8], host_time_s: Floats) -> ImuBatch:
+    def _decode(self, rows: Rows, host_time_s: Floats, disturbed: Flags) -> ImuBatch:
         unit, count = self._unit, len(rows)
         stamps = np.zeros(count)
         if self._stamp is not None:
             stamps = self._stamp.of(rows, unit.order)[:, 0].astype(np.float64)
-        values: dict[str, NDArray[np.float64]] = {}
+        values: dict[str, Floats] = {}
         for name, column in unit.columns.items():
             numbers = column.of(rows, unit.order).astype(np.float64) / column.counts
             values[name] = np.repeat(converted(name, numbers, column.unit), 3 // column.values, axis=1)
         status, restarted = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-        if self._status is not None:
-            for number, at in enumerate(self._status.at):
+        if (said := unit.status) is not None:
+            for number, at in enumerate(said.at):
                 status |= rows[:, at].astype(np.int64) << 8 * number
-            if self._status.starting is not None:
-                starting = (status >> self._status.starting & 1).astype(np.bool_)
+            if said.starting is not None:
+                starting = (status >> said.starting & 1).astype(np.bool_)
                 restarted = starting & ~np.concatenate(([self._starting], starting[:-1]))
                 self._starting = bool(starting[-1])
         unusable = ~np.isfinite(np.hstack(list(values.values()))).all(axis=1)
         status[unusable & (status == 0)] = 1
-        disturbed = np.zeros(count, np.bool_)
-        disturbed[0], self._disturbed = self._disturbed, False
-        return self._batch(host_time_s, stamps, values, disturbed, status=status, restarted=restarted)
+        return self._batch(host_time_s, stamps, values, disturbed, status, restarted)

@@ -5,12 +5,13 @@ it homes axes, waits, or runs. `axis_control`, `chamber_control` and `runner` sa
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from gradcal_jax.spec.rig import RigFile
+
 # How long a rule may be violated before it trips, where that is not at once: a short opening of the door ends no run.
-_PATIENCE_S: Final[Mapping[str, float]] = {"temperature course": 30.0, "idle chamber": 30.0}
+PATIENCE_S: Final = {"temperature course": 30.0, "idle chamber": 30.0}
 
 
 @dataclass(frozen=True)
@@ -32,23 +33,14 @@ class InterlockLimits:
     free_bytes: float = 200e6
 
 
-class Interlocks:
-    """For how long each rule has been violated."""
-
-    def __init__(self) -> None:
-        self._since: dict[str, float] = {}
-
-    def check(self, now_s: float, violated: Mapping[str, str]) -> tuple[str, str] | None:
-        """The rule that trips, and its sentence. `violated`: a sentence by rule, empty where it holds."""
-        for name, text in violated.items():
-            patience_s = _PATIENCE_S.get(name, 0.0)
-            if not text:
-                self._since.pop(name, None)
-            elif now_s - self._since.setdefault(name, now_s) >= patience_s:
-                return name, text
-        return None
-
-    @property
-    def pending(self) -> bool:
-        """Whether a rule is violated that has not yet tripped."""
-        return bool(self._since)
+def limits_of(rig: RigFile) -> InterlockLimits:
+    """Those of a rig file."""
+    if (chamber := rig.chamber) is None:
+        return InterlockLimits()
+    limits = {
+        "temperature_band_k": chamber.band,
+        "temperature_lag_s": chamber.lag,
+        "never_above_c": chamber.never_above,
+        "never_below_c": chamber.never_below,
+    }
+    return InterlockLimits(**{name: float(limit) for name, limit in limits.items() if limit is not None})

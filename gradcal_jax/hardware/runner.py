@@ -28,7 +28,7 @@ from gradcal_jax.hardware.clock import Clock, in_thread, until
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, StepNotDone, sentence_of
 from gradcal_jax.hardware.guard import make_safe, put_back
-from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.interlocks import PATIENCE_S, InterlockLimits
 from gradcal_jax.hardware.journal import Journal, event_fields
 from gradcal_jax.hardware.roles import ImuSettings, ImuStream
 from gradcal_jax.hardware.setup import Bench, report_of
@@ -69,7 +69,8 @@ class Runner:
         """Whether anything was commanded."""
         self.ticked_s = time.monotonic()
         """Real time of the last sign of life of the run's own thread."""
-        self._interlocks = Interlocks()
+        self._violated_since_s: dict[str, float] = {}
+        """Since when each rule that is violated is so."""
         self._problem = ""
         self._working = threading.Event()
         chamber, latest_s = self.bench.chamber, self.limits.latest_s
@@ -231,10 +232,13 @@ class Runner:
         agenda += [(move.start_s, move) for move in step.moves]
         # A reading at the time of a move comes first.
         agenda.sort(key=lambda entry: entry[0])
+        motion, end, late_s = begin, self._step_ends_s, math.nan
         while True:
-            motion = begin + axes.late_s
-            end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
-            agenda = [entry for entry in agenda if entry[1] or motion + entry[0] <= end + 1e-6]
+            if axes.late_s != late_s:
+                late_s = axes.late_s
+                motion = begin + late_s
+                end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
+                agenda = [entry for entry in agenda if entry[1] or motion + entry[0] <= end + 1e-6]
             while agenda and motion + agenda[0][0] <= self.clock.now() and not axes.turned_by_hand:
                 start_s, move = agenda.pop(0)
                 if move is not None:
@@ -299,41 +303,29 @@ class Runner:
 
     # ----------------------------------------------------------------------------------------- each step done or said
 
-    def _confirm_steps(self) -> None:
-        """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete."""
-        while self._unconfirmed and self._has_samples_of(self._unconfirmed[0]):
-            if shortfall := self._shortfall_of(self._unconfirmed[0]):
-                raise shortfall
-            self._event_of(self._unconfirmed.popleft().number, "step done")
-
-    def _has_samples_of(self, executed: ExecutedStep) -> bool:
-        now = self.clock.now()
-        return all(losses.complete(executed.ended_s, now) for losses in self._units.values())
-
-    def _shortfall_of(self, executed: ExecutedStep) -> StepNotDone | None:
-        for name, losses in self._units.items() if self.track.steps[executed.number].data else ():
-            if lost := losses.between(executed, self.limits):
-                return StepNotDone(f"{name}: {lost}", executed.number, name)
-        return None
+    def _confirm_steps(self, *, ended: bool = False) -> None:
+        """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete. At
+        the end of a run that did not finish each executed step is done, or said to be not done."""
+        while self._unconfirmed:
+            executed, now = self._unconfirmed[0], self.clock.now()
+            complete = all(losses.complete(executed.ended_s, now) for losses in self._units.values())
+            if not (complete or ended):
+                return
+            why = "" if complete else "the run ended before all of its samples had come"
+            for name, losses in self._units.items() if self.track.steps[executed.number].data else ():
+                if lost := losses.between(executed, self.limits):
+                    why = f"{name}: {lost}"
+                    if not ended:
+                        raise StepNotDone(why, executed.number, name)
+            self._unconfirmed.popleft()
+            self._event_of(executed.number, "not done" if why else "step done", **({"why": why} if why else {}))
 
     def _await_confirmation(self) -> None:
         """Wait for the samples of the last steps, and until no rule is violated: one that is violated in the last
         seconds clears or trips before the run is done."""
-        is_so = lambda: not (self._unconfirmed or self._interlocks.pending)  # noqa: E731
+        is_so = lambda: not (self._unconfirmed or self._violated_since_s)  # noqa: E731
         if not until(is_so, self.clock, self._duties, longest_s=_LONGEST_ARRIVAL_S, every_s=_SLICE_S):
             raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
-
-    def _judge_the_rest(self) -> None:
-        """At the end of a run that did not finish: each executed step is done, or said to be not done."""
-        for executed in self._unconfirmed:
-            why = str(self._shortfall_of(executed) or "")
-            if not (why or self._has_samples_of(executed)):
-                why = "the run ended before all of its samples had come"
-            if why:
-                self._event_of(executed.number, "not done", why=why)
-            else:
-                self._event_of(executed.number, "step done")
-        self._unconfirmed.clear()
 
     # ------------------------------------------------------------------------------------------- duties in every state
 
@@ -357,10 +349,12 @@ class Runner:
             violated["stale unit"] = f"no sample from {', '.join(old)}"
         if (free := self.journal.free_bytes) < limits.free_bytes:
             violated["disk space"] = f"only {free / 1e6:.0f} MB are free on the disk"
-        if tripped := self._interlocks.check(now, violated):
-            rule, text = tripped
-            self._event("interlock", at_once=False, rule=rule, text=text)
-            raise HardwareError(f"Interlock '{rule}': {text}.")
+        for rule, text in violated.items():
+            if not text:
+                self._violated_since_s.pop(rule, None)
+            elif now - self._violated_since_s.setdefault(rule, now) >= PATIENCE_S.get(rule, 0.0):
+                self._event("interlock", at_once=False, rule=rule, text=text)
+                raise HardwareError(f"Interlock '{rule}': {text}.")
 
     def _show(self, end_s: float | None) -> None:
         now = self.clock.now()
@@ -395,7 +389,7 @@ class Runner:
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, busy=self._is_busy))
         for outcome in outcomes:
             self._event("made safe", began_s + outcome.took_s, **event_fields(outcome))
-        self._judge_the_rest()
+        self._confirm_steps(ended=True)
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
@@ -409,7 +403,7 @@ class Runner:
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         self.state = state
         self._shown_s = -math.inf
-        self._event("state", at_once=at_once, state=state.value)
+        self._event("state", at_once=at_once, state=state)
 
     def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()

@@ -10,7 +10,7 @@ import math
 from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -191,17 +191,15 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             stretches[-1][1].append(segment)
         else:
             stretches.append((block, [segment]))
-    # A table that is read while it stands is read at the end of its rests, too, as in the plan.
-    ends = recipe.spec.rig.table.standing == "read"
     alone = recipe.spec.rig.chamber.control == "none"
     steps: list[TrackStep] = []
-    for number, (block, segments) in enumerate(stretches):
+    for block, segments in stretches:
         if block is not None and block.hang:
             # A temperature that nobody controls does not wait: the question takes of the unread part before.
             unread = alone and bool(steps) and not steps[-1].data
             before = steps.pop() if unread else TrackStep(f"{block.name}: mounting")
             steps.append(Ask(before.name, before.duration_s, hang=block.hang, mounting=block.mounting or 0))
-        steps += _stretch(block, segments, recipe.stability, names, first=number == 0, ends=ends)
+        steps += _stretch(recipe, block, segments, names)
     if alone:
         steps = [replace(step, start_c=None, stable=None, courses=()) for step in steps]
     again = None if alone else _stable(recipe.stability, first=True)
@@ -227,87 +225,86 @@ def _stable(stability: Stability, *, first: bool) -> Stable:
 
 
 def _stretch(
-    block: MotionBlock | None,
-    segments: Sequence[ChamberSegment],
-    stability: Stability,
-    names: dict[str, str],
-    *,
-    first: bool,
-    ends: bool,
-) -> list[TrackStep]:
-    """The steps of a stretch of data; without a block one step, whose samples are not used and whose axes stand."""
+    recipe: Recipe, block: MotionBlock | None, segments: Sequence[ChamberSegment], names: Mapping[str, str]
+) -> Iterator[TrackStep]:
+    """The steps of a stretch of data, which the cycles of its motion cut; without a block one step, whose samples are
+    not used and whose axes stand."""
     begins_s = list(itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0))
-    ramps = [None if segment.slope is None else abs(float(segment.slope)) * 60.0 for segment in segments]
-    ends_c = [float(segment.temperature_end) for segment in segments]
-    courses = [Course(*course) for course in zip(begins_s, ends_c, ramps, strict=False)]
-    knots_c, total, at = [float(segments[0].temperature_start), *ends_c], begins_s[-1], dict[str, float]()
+    courses: list[Course] = []
+    for begin, segment in zip(begins_s, segments, strict=False):
+        ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
+        courses.append(Course(begin, float(segment.temperature_end), ramp))
+    knots_c = [float(segments[0].temperature_start), *(course.temperature_c for course in courses)]
+    total, stable = begins_s[-1], None
+    if segments[0].begins == "when stable":
+        stable = _stable(recipe.stability, first=segments[0] is recipe.chamber[0])
     if block is None:
-        parts = [TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S)]
-    else:
-        parts = _parts(block, total, names, ends=ends)
-        at = dict.fromkeys(names.values(), 0.0)
-        at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
-    steps: list[TrackStep] = []
-    begin_s = 0.0
-    for part in parts:
-        inside = [c for c in courses if begin_s - 1e-6 <= c.start_s < begin_s + part.duration_s - 1e-6]
-        waits = not steps and segments[0].begins == "when stable"
-        step = replace(
-            part,
-            start_c=float(np.interp(begin_s, begins_s, knots_c)),
-            stable=_stable(stability, first=first) if waits else None,
-            courses=tuple(replace(course, start_s=max(course.start_s - begin_s, 0.0)) for course in inside),
-            start_deg=dict(at),
-            data=block is not None,
+        yield TrackStep(segments[0].name, total, knots_c[0], stable, tuple(courses), read_every_s=_BETWEEN_READINGS_S)
+        return
+    cuts, moves, reads = _motion(block, total, names, ends=recipe.spec.rig.table.standing == "read")
+    at = {name: math.degrees(block.start.get(of, 0.0)) for of, name in names.items()}
+    busy = math.fsum(float(move.duration) for move in block.moves if move.do != "wait")
+    read = 0
+    for number, (begin, end) in enumerate(itertools.pairwise([*cuts, total]), 1):
+        # A reading at the end of a turn comes before the turn that begins then: both are the same number.
+        first, read = read, bisect(reads, end + _HAIR_S)
+        step = TrackStep(
+            f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
+            end - begin,
+            float(np.interp(begin, begins_s, knots_c)),
+            stable if number == 1 else None,
+            _within(courses, begin, end),
+            _within(moves, begin, end),
+            dict(at),
+            tuple(round(time_s - begin, 9) for time_s in reads[first:read]),
+            slack_s=float(block.standing_after) if number == len(cuts) else max(0.0, float(block.period) - busy),
+            data=True,
         )
-        steps.append(step)
-        begin_s += part.duration_s
-        for move in part.moves:
+        yield step
+        for move in step.moves:
             at[move.axis] += move.angle_deg
-    return steps
 
 
-def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[TrackStep]:
-    """The moves and readings of a block, cut where a cycle or a rate begins, or at even parts of a long rest. `ends`:
-    rests are read at their ends; else a table that stands while others move is read at even intervals all the time."""
-    period, after = float(block.period), float(block.standing_after)
+Timed = TypeVar("Timed", AxisCommand, Course)
+
+
+def _within(commands: list[Timed], begin: float, end: float) -> tuple[Timed, ...]:
+    """The commands of a part, with their times from its beginning on."""
+    first, last = (bisect(commands, cut - _HAIR_S, key=lambda command: command.start_s) for cut in (begin, end))
+    inside = commands[first:last]
+    return tuple(replace(command, start_s=max(round(command.start_s - begin, 9), 0.0)) for command in inside)
+
+
+def _motion(
+    block: MotionBlock, total: float, names: Mapping[str, str], *, ends: bool
+) -> tuple[list[float], list[AxisCommand], list[float]]:
+    """The moves and readings of a block, and where it is cut: where a cycle or a rate begins, or at even parts of a
+    long rest. `ends`: rests are read at their ends; else a table that stands while others move is read at even
+    intervals all the time."""
+    after = float(block.standing_after)
     rests = block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait")
     spins = any(move.do == "spin" for move in block.moves)
-    own = [move for move in block.moves if move.do != "wait"]
-    busy = math.fsum(float(move.duration) for move in own)
-    cuts = [number * period for number in range(block.repeat)]
+    cycles = [number * float(block.period) for number in range(block.repeat)]
     moves: list[AxisCommand] = []
     reads = [0.0]
-    for number, cycle in enumerate(cuts, 1):
-        for move in own if number == len(cuts) and not rests else block.moves:
-            lasts_s = float(move.duration)
-            start = cycle + float(move.start)
-            moves += _commands(move, start, names, spins=spins)
-            every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
-            reads += _reads(start, lasts_s, every, ends=ends or spins)
-            at_end = move.read == "end" if every is None else ends and move.do == "rest"
-            if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
-                reads.append(start + lasts_s)
+    for cycle, move in itertools.product(cycles, block.moves):
+        if cycle == cycles[-1] and move.do == "wait" and not rests:
+            continue
+        start, lasts_s = cycle + float(move.start), float(move.duration)
+        moves += _commands(move, start, names, spins=spins)
+        every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
+        reads += _reads(start, lasts_s, every, ends=ends or spins)
+        at_end = move.read == "end" if every is None else ends and move.do == "rest"
+        if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
+            reads.append(start + lasts_s)
     if after > 0.0 and block.read_every_after is not None:
         reads += _reads(total - after, after, float(block.read_every_after), ends=ends)
     if spins:
-        cuts = [float(move.start) for move in block.moves]
+        cycles = [float(move.start) for move in block.moves]
     elif rests:
         count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
-        cuts = [k * (total / count) for k in range(count)]
-    starts = [move.start_s + _HAIR_S for move in moves]
-    reads.sort()
-    for number, (begin, end) in enumerate(itertools.pairwise([*cuts, total]), 1):
-        inside = moves[bisect(starts, begin) : bisect(starts, end)]
-        first = bisect(reads, begin + _HAIR_S) if number > 1 else 0
-        yield TrackStep(
-            f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
-            end - begin,
-            # A reading at the end of a turn comes before the turn that begins then: both are the same number.
-            moves=tuple(replace(move, start_s=max(round(move.start_s - begin, 9), 0.0)) for move in inside),
-            read_at_s=tuple(round(time_s - begin, 9) for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
-            slack_s=after if number == len(cuts) else max(0.0, period - busy),
-        )
+        cycles = [k * (total / count) for k in range(count)]
+    return cycles, moves, sorted(reads)
 
 
 def _reads(start: float, duration: float, every: float | None, *, ends: bool) -> list[float]:
@@ -317,20 +314,17 @@ def _reads(start: float, duration: float, every: float | None, *, ends: bool) ->
     return [k * every for k in range(before + 1, after + 1)]
 
 
-def _commands(move: TrackMove, start: float, names: dict[str, str], *, spins: bool) -> list[AxisCommand]:
+def _commands(move: TrackMove, start: float, names: Mapping[str, str], *, spins: bool) -> list[AxisCommand]:
+    rate = to_unit(float(move.rate or 0.0), "deg/s")
     if spins:
         # The standard method's rates; a standstill begins with a stop.
-        rate, axis = to_unit(float(move.rate or 0.0), "deg/s"), names[move.axis]
-        stop = [AxisCommand(start, axis, "stop")] if start > 0.0 else []
-        return [AxisCommand(start, axis, "spin", 0.0, rate, _SPIN_ACCELERATION_DPS2)] if rate else stop
-    if move.do in ("rest", "wait"):
+        if rate:
+            return [AxisCommand(start, names[move.axis], "spin", 0.0, rate, _SPIN_ACCELERATION_DPS2)]
+        return [AxisCommand(start, names[move.axis], "stop")] if start > 0.0 else []
+    if move.angle is None or move.acceleration is None:
         return []
-    assert move.angle is not None
-    assert move.rate is not None
-    assert move.acceleration is not None
-    angle, rate = to_unit(float(move.angle), "deg"), abs(to_unit(float(move.rate), "deg/s"))
-    acceleration = to_unit(float(move.acceleration), "deg/s^2")
-    turn = AxisCommand(start, names[move.axis], "turn", angle, rate, acceleration)
+    angle, acceleration = to_unit(float(move.angle), "deg"), to_unit(float(move.acceleration), "deg/s^2")
+    turn = AxisCommand(start, names[move.axis], "turn", angle, abs(rate), acceleration)
     # Beyond the rounding of the recipe's numbers.
     more_s = round(float(move.duration) - turn.duration_s, 3)
     return [replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn]

@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed, taken
 from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
 from gradcal_jax.model import BodyNodes, ImuModel, NodeGroup
 from gradcal_jax.model.terms import Term
@@ -131,15 +131,15 @@ def _by_pieces(model: ImuModel) -> bool:
 def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
     """Regressors of every row."""
     own, shared = model.columns(nodes)
-    shared = at.sums(shared[nodes.kind])
+    shared = at.sums(taken(shared, nodes.kind))
     parts, calibrated = [], model.calibrated
     for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
         rows = np.flatnonzero(at.row_channel == i)
         # (All segments are most often rows of an only channel.)
         segment = slice(None) if len(rows) == len(at.row_channel) == len(at.first) else at.row_segment[rows]
-        parts.append(((rows, model.where(c.kind, c.axis)), at.sums(block)[segment]))
+        parts.append(((rows, model.where(c.kind, c.axis)), taken(at.sums(block), segment)))
         if model.installation:
-            parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+            parts.append(((rows, slice(calibrated, None)), taken(shared[:, c.index], segment)))
     return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
 
 
@@ -316,32 +316,35 @@ def encoder_rows(
     before, after = motion.angles()
     # For an example of each kind: begin and total angle of its segment.
     segment = np.searchsorted(at.first, motion.example, side="right") - 1
-    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
+    began = taken(before, at.first[segment])
+    whole = taken(after, at.last[segment]) - taken(before, at.first[segment])
     stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
     # Of the rates and forces along the body's axes those that a channel senses.
     sensed = np.array([c.index for c in model.channels])
-    of_sensed = lambda rates: xp.concatenate([rates, xp.zeros(rates.shape)], axis=-1)[..., sensed]  # noqa: E731
+    of_sensed = lambda of: xp.moveaxis(taken(xp.moveaxis(of, -1, 0), sensed), 0, -1)  # noqa: E731
+    rates = lambda of: of_sensed(xp.concatenate([of, xp.zeros(of.shape)], axis=-1))  # noqa: E731
 
     def of_group(g: NodeGroup):
-        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
+        begin, span = taken(began, g.kinds)[:, None], taken(whole, g.kinds)[:, None]
         # The share of the move that is completed interpolates the error between the two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
         away = turns & (abs(span) > _RETURNS)
         gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
         share = xp.where(turns, xp.where(away, gone, 0.5), stands)
         shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
-        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k)[..., sensed] for k in range(axes)]
-        return xp.concatenate([xp.stack(parts, axis=2), of_sensed(g.integral(g.axes))[:, None]], axis=1)
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ of_sensed(g.turned(k)) for k in range(axes)]
+        return xp.concatenate([xp.stack(parts, axis=2), rates(g.integral(g.axes))[:, None]], axis=1)
 
-    sums = at.sums(nodes.of_kinds(of_group, (3, axes, len(sensed)))[nodes.kind])
+    sums = at.sums(taken(nodes.of_kinds(of_group, (3, axes, len(sensed))), nodes.kind))
     if held:
         own = at.axis[:, None] == np.arange(axes)[None, :]
-        along = of_sensed(xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0))
+        along = rates(xp.where(own[..., None], taken(nodes.axes_before, nodes.kind[at.first]), 0.0))
     else:
         lasting = at.sums(motion.line.duration)[:, None, None]
         along = sums[:, 2] / xp.where(lasting > 0.0, lasting, 1.0)
     slow = sums[:, :2] + xp.stack([along, -along], axis=1)
-    return slow[at.row_segment, :, :, at.row_channel]
+    by_channel = xp.reshape(xp.moveaxis(slow, -1, 1), (-1, 2, axes))
+    return taken(by_channel, at.row_segment * len(sensed) + at.row_channel)
 
 
 def rows_of_angles(

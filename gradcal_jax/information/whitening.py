@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, namespace, placed, taken
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.linalg import dead_of, factor_tangent, scaled_factor, solve_transposed
 
@@ -103,15 +103,13 @@ def by_reading(
     return np.concatenate([filtered.state[1:], last[None]]), filtered.whitener[:, 0, 0]
 
 
-def passage(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, known: bool) -> Passage:
-    """The passage of readings from the initial state, if that is `known` by its covariance, or from any state."""
+def passage(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Passage:
+    """The passage of readings from any state."""
     blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
-    begin = jnp.zeros((len(blocks.initial), data.shape[-1]), data.dtype)
-    if not known:
-        every = jnp.eye(len(begin), dtype=data.dtype)
-        begin = jnp.concatenate([begin, -every], axis=1)
-        data = jnp.concatenate([data, jnp.zeros((*data.shape[:2], len(every)), data.dtype)], axis=2)
-        blocks = blocks._replace(initial=jnp.zeros_like(blocks.initial))
+    every = jnp.eye(len(blocks.initial), dtype=data.dtype)
+    begin = jnp.concatenate([jnp.zeros((len(every), data.shape[-1]), data.dtype), -every], axis=1)
+    data = jnp.concatenate([data, jnp.zeros((*data.shape[:2], len(every)), data.dtype)], axis=2)
+    blocks = blocks._replace(initial=jnp.zeros_like(blocks.initial))
     rows, _, (after, left) = _filter(blocks, data, begin)
     return Passage(_product(rows)[0], after, left)
 
@@ -151,10 +149,10 @@ def _in_blocks(steps: NoiseSteps, columns: AnyArray) -> tuple[Blocks, AnyArray, 
 
     def at_instants(x: AnyArray) -> AnyArray:
         kept = jnp.where(jnp.reshape(steps.used, (-1,) + (1,) * (x.ndim - 1)), x, 0.0)
-        return jnp.zeros((*sizes, *x.shape[1:]), x.dtype).at[place].set(kept, unique_indices=True)
+        return placed((*sizes, *x.shape[1:]), (place, kept))
 
     observation, variance, data = map(at_instants, (steps.observation, steps.reading_variance, columns))
-    f, q = (jnp.asarray(x)[first] for x in (steps.transition, steps.covariance))
+    f, q = (taken(jnp.asarray(x), first) for x in (steps.transition, steps.covariance))
     own = q @ _t(observation)
     noise = observation @ own + variance[:, :, None] * jnp.eye(sizes[1], dtype=own.dtype)[None]
     return Blocks(f, q, observation @ f, noise, own, jnp.asarray(steps.initial)), data, place

@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed, taken
 
 AXIS_NAMES = ("x", "y", "z")
 INPUTS = {"gyro": "rate", "accelerometer": "force"}
@@ -92,7 +92,7 @@ class NodeGroup(PytreeModule):
         xp = namespace(first, second)
         weights = xp.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
         return xp.reshape(
-            xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
+            xp.swapaxes(taken(weights, self.kind) @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
         )
 
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, put, running_sum
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, put, running_sum, taken
 from gradcal_jax.formulas import reading_times, repetitions
 from gradcal_jax.motion.motion import Move, PieceTable, divide, joined, standing
 from gradcal_jax.motion.programme import Programme
@@ -85,7 +85,9 @@ class Schedule(PytreeModule):
         p, of = self.pieces, self.pieces.of
         durations = self.durations()
         xp = namespace(durations, self.peak_rate, p, self.programme, thermal_lag)
-        whole = (of.u_end - of.u_start) * (of.by_duration * durations[p.move] + of.by_ramp * self.ramp[p.move])
+        whole = (of.u_end - of.u_start) * (
+            of.by_duration * taken(durations, p.move) + of.by_ramp * taken(self.ramp, p.move)
+        )
         sensor = self.programme.sensor(thermal_lag)
         # The whole time of a divided piece counts once, at the end of its last part.
         last = p.high < 0
@@ -112,7 +114,7 @@ class Schedule(PytreeModule):
             duration=duration,
             u_start=u_start,
             u_end=u_end,
-            terms=of.terms * self.peak_rate[p.move][:, None],
+            terms=of.terms * taken(self.peak_rate, p.move)[:, None],
             share=xp.ones(duration.shape),
             level=sensor.level[within] + sensor.slope[within] * since,
             slope=sensor.slope[within],

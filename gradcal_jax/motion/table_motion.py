@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.polynomial.legendre import legvander
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class, taken
 from gradcal_jax.formulas import EARTH_RATE, play_states
 from gradcal_jax.model import BodyNodes, NodeGroup
 from gradcal_jax.motion.gauss import EDGE, crossings, temperature_crossings, turning_points
@@ -315,7 +315,7 @@ def _posed(motion: TableMotion, kinds: np.ndarray, before, v):
     """Angles (rad), rates (rad/s) of all axes and the mounting at fractions `v` `(n, q)` of examples of `kinds`."""
     xp, example = namespace(before, motion.line.duration), motion.example[kinds]
     own = motion.turns[example][:, None, :]
-    began, mounting = before[example][:, None, :], xp.broadcast_to(motion.mounting[example][:, None], v.shape)
+    began, mounting = taken(before, example)[:, None, :], xp.broadcast_to(motion.mounting[example][:, None], v.shape)
     if xp is np and not np.any(own):
         still = np.broadcast_to(began, (*v.shape, own.shape[-1]))
         return still, np.zeros(still.shape), mounting
@@ -327,7 +327,7 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     """The nodes of a unit's terms, with functions of temperature interpolated from `points` points on each piece."""
     example = motion.example
     all_before, all_after = motion.angles()
-    before, after = all_before[example], all_after[example]
+    before, after = taken(all_before, example), taken(all_after, example)
     begin, end = motion.line.ends()
     groups = tuple(
         _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before) for n in np.unique(motion.nodes)
@@ -353,9 +353,9 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     temperatures = line.temperature(places, pieces)
     # A single node stands for what is constant along the piece.
     share = of_points[None] if count == 1 else lagrange(at, x)
-    weight = xp.asarray(w)[None] * line.duration[example][:, None]
-    since = places * line.duration[pieces][:, None]
-    path = line.start[pieces][:, None] + since, line.temperature_slope(since, pieces)
+    weight = xp.asarray(w)[None] * taken(line.duration, example)[:, None]
+    since = places * taken(line.duration, pieces)[:, None]
+    path = taken(line.start, pieces)[:, None] + since, line.temperature_slope(since, pieces)
     numbers = kinds, pieces, kind[pieces]
     return body_group(geometry, numbers, temperatures, share, weight, angle, joint, mounting, path)
 

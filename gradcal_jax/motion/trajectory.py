@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, once, placed
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, once, placed, taken
 
 _EVERY_PIECE = slice(None)
 
@@ -62,29 +62,30 @@ class Trajectory(PytreeModule):
 
     def rate(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Rate (rad/s) at fractions `v` of each of the `pieces`."""
-        u_start, u_end = self.u_start[pieces][:, None], self.u_end[pieces][:, None]
+        u_start, u_end = taken(self.u_start, pieces)[:, None], taken(self.u_end, pieces)[:, None]
         family = formulas.motion_rate(u_start + (u_end - u_start) * v)
-        return (family @ self.terms[pieces][:, :, None])[..., 0]
+        return (family @ taken(self.terms, pieces)[:, :, None])[..., 0]
 
     def angle(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Angle (rad) since the begin of the piece, at fractions `v` of each of the `pieces`."""
-        u_start = self.u_start[pieces][:, None]
-        span = self.u_end[pieces][:, None] - u_start
+        u_start = taken(self.u_start, pieces)[:, None]
+        span = taken(self.u_end, pieces)[:, None] - u_start
         family = formulas.motion_angle(u_start + span * v) - formulas.motion_angle(u_start)
         xp = namespace(family, self.terms)
-        shares = self.duration[pieces][:, None] / xp.where(span > 0.0, span, 1.0)
-        return (family @ self.terms[pieces][:, :, None])[..., 0] * shares
+        shares = taken(self.duration, pieces)[:, None] / xp.where(span > 0.0, span, 1.0)
+        return (family @ taken(self.terms, pieces)[:, :, None])[..., 0] * shares
 
     def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each of the `pieces`."""
-        since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))
+        of = self.duration, self.level, self.slope, self.excess
+        since, level, slope, excess = (taken(f, pieces)[:, None] for f in of)
         if not self.lagged:
             return level + slope * (v * since)
         return formulas.lagged_temperature(v * since, level, slope, excess, self.lag_rate)
 
     def temperature_slope(self, since: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """dT/dt (K/s) at times (s) since the begin of each of the `pieces`."""
-        xp, slope = namespace(since, self.slope), self.slope[pieces][:, None]
+        xp, slope = namespace(since, self.slope), taken(self.slope, pieces)[:, None]
         if not self.lagged:
             return xp.broadcast_to(slope, since.shape)
         return slope - self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)

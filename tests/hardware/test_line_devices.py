@@ -265,14 +265,14 @@ def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench, monkeyp
         axis.home()
         axis.spin(100.0, 200.0)
         clock.sleep(2.0)
-        ask = axis._speaker._ask
+        ask = axis._ask
 
         def read_late(question):
             reply = ask(question)
             clock.sleep(late[0])
             return reply
 
-        monkeypatch.setattr(axis._speaker, "_ask", read_late)
+        monkeypatch.setattr(axis, "_ask", read_late)
         axis.read()
         late[0] = 0.0
         clock.sleep(0.5)
@@ -400,7 +400,7 @@ def late(delay_s, begins=b""):
 def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late():
     with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(0.45)
-        assert chamber._speaker.read("air")["air"] == "23.0"
+        assert chamber._fields("air")["air"] == "23.0"
         assert f"ESPEC at {port.url} was sent 'TEMP?" in port.late
         assert "s late: raise reply_timeout" in port.late
         # To "TYPE?" it comes in time for no other question, though the answer to "ROM?" may be any text.
@@ -412,6 +412,6 @@ def test_a_later_reply_counts_for_no_other_question():
     with espec_bench(espec_config("0 s")) as (chamber, _, port, _):
         port.faults = late(1.4)
         with pytest.raises(ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise"):
-            chamber._speaker.read("air")
+            chamber._fields("air")
         port.faults = None
         assert chamber.identify().firmware == "P3S1.10"

@@ -20,11 +20,11 @@ from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.description import described, protocol_text, shipped
-from gradcal_jax.hardware.drivers.lines import Codec, LinesConfig
+from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.listening import TextUnitConfig
+from gradcal_jax.hardware.drivers.registers import Modbus, write_body
 from gradcal_jax.hardware.errors import Rejected
 from gradcal_jax.hardware.line_protocol import LINES, LineProtocol
-from gradcal_jax.hardware.modbus import Rtu, Tcp, read_body, words_of, write_body
 from gradcal_jax.hardware.setup import configs_of, open_rig
 from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
 from gradcal_jax.tables.problems import SpecError
@@ -90,7 +90,7 @@ TOLD = {
 @pytest.mark.parametrize("name", ASKED)
 def test_golden_messages(name):
     said = described(LineProtocol, name)
-    codec = Codec(said)
+    codec = said.line
     for question, (sent, received, values) in ASKED[name].items():
         asked = said.ask[question]
         assert codec.message(asked.send, bare=asked.bare) == sent
@@ -105,7 +105,7 @@ def test_golden_messages(name):
 
 
 def test_what_is_a_reply_of_an_espec_and_what_is_not():
-    codec = Codec(LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described)
+    codec = LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described.line
     assert codec.message("MON?") == b"1,MON?\r\n"
     pattern = reply_pattern(described(LineProtocol, "espec").ask["temperature"].reply[0])
     # Of an old controller: whole degrees, and blanks after commas.
@@ -114,35 +114,35 @@ def test_what_is_a_reply_of_an_espec_and_what_is_not():
         assert not any(map(pattern.fullmatch, codec.texts(frame + b"\r\n")))
 
 
-RTU = Rtu(1)
+RTU, READ = Modbus(1), bytes.fromhex("03 0064 0001")
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
 MODBUS_25 = bytes.fromhex("01 03 02 00 FA 38 07")
+SETS_25, SETS_MINUS_40 = (write_body(300, bytes.fromhex(data)) for data in ("00FA", "FE70"))
 WRITE_25 = bytes.fromhex("01 06 01 2C 00 FA C9 BC")
 WRITE_MINUS_40 = bytes.fromhex("01 06 01 2C FE 70 08 7B")
 EXCEPTION = bytes.fromhex("01 83 02 C0 F1")
 
 
 def test_golden_modbus():
-    assert RTU.message(read_body(100)) == READ_PV
-    assert RTU.message(write_body(300, (250,))) == WRITE_25
-    assert RTU.message(write_body(300, (-400,))) == WRITE_MINUS_40
+    assert RTU.message(READ) == READ_PV
+    assert RTU.message(SETS_25) == WRITE_25
+    assert RTU.message(SETS_MINUS_40) == WRITE_MINUS_40
     noise = b"\xff\x01\x03\x55\x03\x02"
-    for reply, word in ((MODBUS_25, 250), (bytes.fromhex("01 03 02 FE 70 F9 C0"), 65536 - 400)):
-        body = RTU.reply(noise + reply, read_body(100))
-        assert words_of(body) == (word,)
-    assert RTU.reply(WRITE_25, write_body(300, (250,))) is not None
-    assert RTU.reply(WRITE_MINUS_40, write_body(300, (250,))) is None
-    assert RTU.reply(WRITE_25, read_body(100)) is None
+    for reply in (MODBUS_25, bytes.fromhex("01 03 02 FE 70 F9 C0")):
+        assert RTU.reply(noise + reply, READ) == reply[1:-2]
+    assert RTU.reply(WRITE_25, SETS_25) is not None
+    assert RTU.reply(WRITE_MINUS_40, SETS_25) is None
+    assert RTU.reply(WRITE_25, READ) is None
     with pytest.raises(Rejected, match="register address"):
-        RTU.reply(EXCEPTION, read_body(100))
+        RTU.reply(EXCEPTION, READ)
 
 
 def test_golden_modbus_on_tcp():
     """By hand from the protocol's definition: 25.0 is 41C80000, and its low word goes first."""
-    tcp, read, write = Tcp(1), read_body(2820, 2), write_body(2782, (0x0000, 0x41C8))
+    tcp, read, write = Modbus(1, tcp=True), bytes.fromhex("03 0B04 0002"), write_body(2782, bytes.fromhex("0000 41C8"))
     assert [tcp.message(read) for _ in range(7)][-1] == bytes.fromhex("0007 0000 0006 01 03 0B04 0002")
-    body = tcp.reply(bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8"), read)
-    assert words_of(body) == (0, 0x41C8)
+    reply = bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8")
+    assert tcp.reply(reply, read) == reply[7:]
     with pytest.raises(Rejected, match="register address"):
         tcp.reply(bytes.fromhex("0007 0000 0003 01 83 02"), read)
     assert tcp.message(write) == bytes.fromhex("0008 0000 000B 01 10 0ADE 0002 04 0000 41C8")
@@ -152,19 +152,19 @@ def test_golden_modbus_on_tcp():
 
 @given(st.binary(max_size=300))
 def test_no_bytes_make_a_message_of_modbus_raise(anything):
-    tcp = Tcp(1)
-    tcp.message(read_body(100))
+    tcp = Modbus(1, tcp=True)
+    tcp.message(READ)
     for modbus, head in ((RTU, b"\x01"), (RTU, b"\x01\x83"), (tcp, b"\0\1\0\0"), (tcp, b"\0\1\0\0\0\2\1")):
         with suppress(Rejected):
-            modbus.reply(head + anything, read_body(100))
+            modbus.reply(head + anything, READ)
 
 
 def test_no_bit_of_a_checked_message_may_be_wrong():
-    codec, framed = Codec(described(LineProtocol, "cts")), ASKED["cts"]["temperature"][1]
+    codec, framed = described(LineProtocol, "cts").line, ASKED["cts"]["temperature"][1]
     frames = [
-        (MODBUS_25, 8, lambda frame: RTU.reply(frame, read_body(100))),
-        (WRITE_25, 8, lambda frame: RTU.reply(frame, write_body(300, (250,)))),
-        (EXCEPTION, 8, lambda frame: RTU.reply(frame, read_body(100))),
+        (MODBUS_25, 8, lambda frame: RTU.reply(frame, READ)),
+        (WRITE_25, 8, lambda frame: RTU.reply(frame, SETS_25)),
+        (EXCEPTION, 8, lambda frame: RTU.reply(frame, READ)),
         # The eighth bits are not in its check, and carry nothing.
         (framed, 7, codec.texts),
     ]

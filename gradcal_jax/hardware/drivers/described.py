@@ -1,5 +1,5 @@
-"""Devices that a rig file describes without code. What speaks their protocol reads fields and sends commands
-(`Speaker`: `lines`, `registers`); here are identity, states and chambers, for all protocols.
+"""Devices that a rig file describes without code. The drivers of their protocols read fields and send commands
+(`lines`, `registers`); here are identity, states and chambers, for all protocols.
 
 * A chamber's commands are read back. A program that runs is ended before a set point; a ramp begins at the temperature
   of the air, its rate is shown before it gets the target, and `hold` and `standby` take it off.
@@ -32,6 +32,8 @@ Texts = dict[str, str]
 _SETTLED_K = 2.0
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _LINE = {"baudrate", "bytesize", "parity", "stopbits"}
+# What a description needs for a safe state.
+_NEEDED = {"standby": {"off"}, "unpower": {"off", "powered"}}
 
 
 class DescribedOptions(DriverOptions):
@@ -70,6 +72,11 @@ class RequestOptions(DescribedOptions):
     def line_settings(self) -> dict[str, Any]:
         return self.described.line.model_dump(include=_LINE)
 
+    def lacks_for(self, safe: str) -> str:
+        if _NEEDED.get(safe, set()) <= {*self.described.tell, *self.described.state}:
+            return ""
+        return 'its description lacks [tell.off], or the state that shows its effect: add both, or choose "hold"'
+
     def link(self, line: Transport, clock: Clock) -> Exchange:
         said = self.described.line
         waits = (self.reply_timeout or said.timeout, said.pause)
@@ -77,30 +84,34 @@ class RequestOptions(DescribedOptions):
         return Exchange(line, clock, self.described.title, *map(float, (*waits, *more)))
 
 
-class Speaker(ABC):
+class DescribedDevice(ABC):
     """Reads the fields of a device, and sends its commands."""
 
     name: ClassVar[str]
     """The driver's."""
 
     def __init__(self, exchange: Exchange, config: Any) -> None:
-        self.exchange, self.config, self.said = exchange, config, config.described
-        self.title, self.clock = exchange.device, exchange.clock
+        self._exchange, self._config, self._said = exchange, config, config.described
+        self._title, self._clock = exchange.device, exchange.clock
 
     @abstractmethod
-    def read(self, *names: str) -> Texts:
+    def _fields(self, *names: str) -> Texts:
         """The fields of these names, in this order; fields that the description lacks are absent."""
 
     @abstractmethod
-    def tell(self, name: str, values: Mapping[str, float]) -> None:
+    def _tell(self, name: str, values: Mapping[str, float]) -> None:
         """Send a command, with values in the device's unit."""
 
     @abstractmethod
-    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+    def _expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
         """The fields that show a command's effect, and what they must show; that of its own value first. `ramps`: what
         is in force moves towards it."""
 
-    def tell_shown(
+    @abstractmethod
+    def _step_of(self, command: str) -> float:
+        """The resolution of a command's value, in the device's unit; 0: any."""
+
+    def _tell_shown(
         self,
         name: str,
         values: Mapping[str, float],
@@ -110,42 +121,32 @@ class Speaker(ABC):
     ) -> Texts:
         """Send a command until the device shows it, and what it shows in `fields` holds. Returns what it shows, of the
         command's own value first."""
-        expected = self.expected(name, values, ramps=ramps)
+        expected = self._expected(name, values, ramps=ramps)
         shown = command_and_verify(
-            self.clock,
-            " ".join((f"{self.title}: {name}", *expected.values())),
-            lambda: self.tell(name, values),
-            lambda: self.read(*expected, *fields),
+            self._clock,
+            " ".join((f"{self._title}: {name}", *expected.values())),
+            lambda: self._tell(name, values),
+            lambda: self._fields(*expected, *fields),
             lambda texts: holds(texts) and all(shows(text, texts[field]) for field, text in expected.items()),
         )
         # (A reply has its fields in an order of its own.)
         return {field: shown[field] for field in expected} | shown
 
-    @abstractmethod
-    def step_of(self, command: str) -> float:
-        """The resolution of a command's value, in the device's unit; 0: any."""
-
-
-class DescribedDevice:
-    def __init__(self, speaker: Speaker) -> None:
-        self._speaker, self._config, self._said = speaker, speaker.config, speaker.said
-        self._clock, self._title = speaker.clock, speaker.title
-
     def identify(self) -> roles.Identity:
-        known = self._speaker.read("model", "serial", "firmware")
+        known = self._fields("model", "serial", "firmware")
         required = self._said.require
-        needed = self._speaker.read(*(need.field for need in required))
+        needed = self._fields(*(need.field for need in required))
         for need in required:
             if not any(shows(text, needed[need.field]) for text in need.equals):
                 raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._title} {known.get('model', '')}".strip()
-        return roles.Identity(self._speaker.name, model, known.get("serial", ""), known.get("firmware", ""))
+        return roles.Identity(self.name, model, known.get("serial", ""), known.get("firmware", ""))
 
     def _switch(self, name: str, state: str, on: bool) -> None:
         """Send a command until the device shows that state, unless it does already."""
         names = self._fields_of(state)
-        if self._is(state, self._speaker.read(*names)) is not on:
-            self._speaker.tell_shown(name, {}, *names, holds=lambda texts: self._is(state, texts) is on)
+        if self._is(state, self._fields(*names)) is not on:
+            self._tell_shown(name, {}, *names, holds=lambda texts: self._is(state, texts) is on)
 
     def _is(self, name: str, texts: Texts) -> bool:
         return name in self._said.state and self._holds(self._said.state[name], texts)
@@ -162,20 +163,20 @@ class DescribedDevice:
 
 class DescribedChamber(DescribedDevice, ChamberDriver):
     def limits(self) -> roles.ChamberLimits:
-        said, ends = self._said.limits, self._speaker.read("lowest", "highest")
+        said, ends = self._said.limits, self._fields("lowest", "highest")
         lowest, highest = (
             self._celsius(ends[name]) if name in ends else float(getattr(said, name)) for name in ("lowest", "highest")
         )
         slowest = 0.0 if said.slowest is None else float(said.slowest) * 60.0
         fastest = math.inf if said.fastest is None else float(said.fastest) * 60.0
         ramps, unit = "ramp" in self._said.tell, self._said.units.ramp
-        step = units.convert(self._speaker.step_of("ramp"), unit, "K/min") if ramps else 0.0
+        step = units.convert(self._step_of("ramp"), unit, "K/min") if ramps else 0.0
         return roles.ChamberLimits(lowest, highest, ramps, slowest, fastest, step)
 
     def read(self) -> roles.ChamberReading:
         states = self._fields_of("conditioning", "program")
         alarms = [alarm.field for alarm in self._said.alarm.values()]
-        texts = self._speaker.read("air", "setpoint", "product", "mode", "code", "message", *states, *alarms)
+        texts = self._fields("air", "setpoint", "product", "mode", "code", "message", *states, *alarms)
         time_s = self._clock.now()
         conditions = "conditioning" not in self._said.state or self._is("conditioning", texts)
         product = self._celsius(texts["product"]) if "product" in texts else None
@@ -207,7 +208,7 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
             # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
         unit = self._said.units.ramp
-        shown, *_ = self._speaker.tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}).values()
+        shown, *_ = self._tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}).values()
         self._go_to(temperature_c, ramps=True)
         self._condition(True)
         return units.convert(float(shown), unit, "K/min")
@@ -220,14 +221,14 @@ class DescribedChamber(DescribedDevice, ChamberDriver):
 
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
         value = units.convert(temperature_c, "degC", self._said.units.temperature)
-        self._speaker.tell_shown("setpoint", {"setpoint": value}, ramps=ramps)
+        self._tell_shown("setpoint", {"setpoint": value}, ramps=ramps)
 
     def _free_ramp(self) -> None:
         """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
         if "no_ramp" in self._said.tell:
             self._switch("no_ramp", "ramps", False)
         elif "ramp" in self._said.tell:
-            self._speaker.tell_shown("ramp", {"ramp": self._said.limits.free_ramp})
+            self._tell_shown("ramp", {"ramp": self._said.limits.free_ramp})
 
     def _condition(self, on: bool) -> None:
         if "on" in self._said.tell:

@@ -9,18 +9,17 @@ Unverified on real hardware: everything; each description says what its sources 
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, cached_property, partial
 from typing import Literal
 
 from gradcal_jax import units
-from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import command_and_verify, require_within
-from gradcal_jax.hardware.drivers.described import DescribedChamber, DescribedDevice, RequestOptions, Speaker, Texts
+from gradcal_jax.hardware.drivers.described import DescribedChamber, DescribedDevice, RequestOptions, Texts
 from gradcal_jax.hardware.errors import DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout
-from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion
+from gradcal_jax.hardware.line_protocol import Line, LineProtocol, LineQuestion
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings, MotionAxis, SafeReport
 from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
@@ -47,59 +46,23 @@ class LinesConfig(RequestOptions):
 
     def device(
         self, link: Exchange, clock: Clock, name: str = "", encoder: object = None
-    ) -> "DescribedChamber | LinesAxis":
-        lines = Lines(link, self)
-        return DescribedChamber(lines) if self.described.role == "chamber" else LinesAxis(lines)
-
-    def lacks_for(self, safe: str) -> str:
-        if safe != "unpower" or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
-            return ""
-        return 'its protocol lacks [tell.off], or [state.powered] that shows its effect: add both, or choose "hold"'
+    ) -> "LinesChamber | LinesAxis":
+        return (LinesChamber if self.described.role == "chamber" else LinesAxis)(link, self)
 
 
-class Codec:
-    """Messages of a protocol: to bytes, and from them."""
-
-    def __init__(self, protocol: LineProtocol) -> None:
-        self._line = protocol.line
-        self._framed = self._line.frame == "stx-etx-xor8"
-        self._reply_ends = b"\x03" if self._framed else self._line.reply_ends.encode("latin-1")
-
-    def message(self, text: str, *, bare: bool = False) -> bytes:
-        body = (self._line.prefix + text).encode("latin-1")
-        if not self._framed:
-            return body if bare else body + self._line.ends.encode("latin-1")
-        body = bytes([self._line.address]) + bytes(byte | 0x80 for byte in body)
-        return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
-
-    def texts(self, received: bytes) -> list[str]:
-        """The complete messages among bytes; those that are damaged are left out."""
-        if self._reply_ends:
-            *frames, _ = received.split(self._reply_ends)
-        else:
-            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
-            frames = list(filter(None, lines))
-        if self._framed:
-            bodies = (bytes(byte & 0x7F for byte in frame.rpartition(b"\x02")[2]) for frame in frames if 2 in frame)
-            address = self._line.address & 0x7F
-            frames = [body[1:-1] for body in bodies if len(body) > 1 and body[0] == address and not xor8(body)]
-        texts = [frame.strip(b" \t\r\n\x11\x13").decode("latin-1") for frame in frames]
-        return [text for text in texts if text.isprintable()]
-
-
-class Lines(Speaker):
+class Lines(DescribedDevice):
     name = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
-        self._codec = Codec(self.said)
+        self._line: Line = self._said.line
         self._homes = self._cut_short = False
 
-    def read(self, *names: str) -> Texts:
+    def _fields(self, *names: str) -> Texts:
         fields: Texts = {}
-        where = self.said.fields
+        where = self._said.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
-            fields |= self._ask(self.said.ask[question])
+            fields |= self._ask(self._said.ask[question])
         return fields
 
     def _ask(self, question: LineQuestion) -> Texts:
@@ -109,7 +72,7 @@ class Lines(Speaker):
         fields: Texts = {} if last else dict.fromkeys(question.fields, "")
 
         def parse(received: bytes) -> Texts | None:
-            for text in self._codec.texts(received):
+            for text in self._line.texts(received):
                 if last is not None and last.fullmatch(text) and set(question.fields) <= set(fields):
                     return fields
                 # Devices do not refuse queries, so one that is refused was damaged on its way; and the late
@@ -123,21 +86,21 @@ class Lines(Speaker):
                         return fields
             return None
 
-        return self.exchange.query(self._codec.message(question.send, bare=question.bare), parse)
+        return self._exchange.query(self._line.message(question.send, bare=question.bare), parse)
 
-    def tell(self, name: str, values: Mapping[str, float]) -> None:
-        command = self.said.tell[name]
-        longest_s = float(self.config.home_timeout) if command.reply_when_done else None
+    def _tell(self, name: str, values: Mapping[str, float]) -> None:
+        command = self._said.tell[name]
+        longest_s = float(self._config.home_timeout) if command.reply_when_done else None
         for number, send in enumerate(command.send):
-            message = self._codec.message(formatted(send, values)[0], bare=command.bare)
+            message = self._line.message(formatted(send, values)[0], bare=command.bare)
             if not command.reply:
-                self.exchange.write(message)
+                self._exchange.write(message)
                 continue
             parse = partial(self._acknowledgement, command.reply[min(number, len(command.reply) - 1)])
-            self.exchange.query(message, parse, repeat=False, reply_timeout_s=longest_s)
+            self._exchange.query(message, parse, repeat=False, reply_timeout_s=longest_s)
 
     def _acknowledgement(self, reply: str, received: bytes) -> str | None:
-        for text in self._codec.texts(received):
+        for text in self._line.texts(received):
             if self._homes and self._cut_short:
                 raise Rejected("It was interrupted by a stop.")
             if self._refused(text):
@@ -147,52 +110,54 @@ class Lines(Speaker):
         return None
 
     def _refused(self, text: str) -> bool:
-        refusal = self.said.line.refusal
+        refusal = self._said.line.refusal
         return refusal is not None and _pattern(refusal).fullmatch(text) is not None
 
     def _acknowledges(self, text: str) -> bool:
-        return any(_pattern(reply).fullmatch(text) for command in self.said.tell.values() for reply in command.reply)
+        return any(_pattern(reply).fullmatch(text) for command in self._said.tell.values() for reply in command.reply)
 
-    def expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
+    def _expected(self, name: str, values: Mapping[str, float], *, ramps: bool = False) -> Texts:
         if not values:
             return {}
-        shown_by = self.said.tell[name].shown_by or ("target" if "target" in self.said.fields else "setpoint",)
-        return dict.fromkeys(shown_by, self.text_of(name, values))
+        shown_by = self._said.tell[name].shown_by or ("target" if "target" in self._said.fields else "setpoint",)
+        return dict.fromkeys(shown_by, self._text_of(name, values))
 
-    def text_of(self, command: str, values: Mapping[str, float]) -> str:
+    def _text_of(self, command: str, values: Mapping[str, float]) -> str:
         """The text of the value of a command that has one."""
-        (text,) = {text for send in self.said.tell[command].send for text in formatted(send, values)[1].values()}
+        (text,) = {text for send in self._said.tell[command].send for text in formatted(send, values)[1].values()}
         return text
 
-    def step_of(self, command: str) -> float:
-        decimals = self.text_of(command, {command: 1.0}).partition(".")[2]
+    def _step_of(self, command: str) -> float:
+        decimals = self._text_of(command, {command: 1.0}).partition(".")[2]
         return 10.0 ** -len(decimals) if decimals else 0.0
 
-    def home(self) -> None:
+    def _search(self) -> None:
         self._homes, self._cut_short = True, False
         try:
-            self.tell("home", {})
+            self._tell("home", {})
         finally:
             self._homes = False
 
-    def stop_homing(self) -> None:
+    def _stop_search(self) -> None:
         """A device that answers the command to home only when it has homed hears nothing else until then, but a
         command that interrupts the search; what it says then ends the wait for its answer."""
-        interrupt = self.said.tell.get("stop_homing")
+        interrupt = self._said.tell.get("stop_homing")
         if interrupt is None or not self._homes:
             return
         self._cut_short = True
         for send in interrupt.send:
-            self.exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
+            self._exchange.transport.write(self._line.message(send, bare=interrupt.bare))
 
 
-class LinesAxis(DescribedDevice, MotionAxis):
+class LinesChamber(Lines, DescribedChamber):
+    """Role `TemperatureChamber`."""
+
+
+class LinesAxis(Lines, MotionAxis):
     """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
-    _speaker: Lines
-
-    def __init__(self, lines: Lines) -> None:
-        DescribedDevice.__init__(self, lines)
+    def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
+        Lines.__init__(self, exchange, config)
         self._referenced = self._moved = self._powered = False
         # The times of requests of readings, and the positions.
         self._recent: deque[tuple[float, float]] = deque()
@@ -209,21 +174,21 @@ class LinesAxis(DescribedDevice, MotionAxis):
     @cached_property
     def _own_max_rate_dps(self) -> float:
         """Read once: some boards refuse to show their settings while the axis moves."""
-        shown = self._speaker.read("max_rate").get("max_rate")
+        shown = self._fields("max_rate").get("max_rate")
         return math.inf if shown is None else units.convert(float(shown), self._said.units.rate, "deg/s")
 
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.
         names = self._fields_of("moving", "fault", "powered")
         asked_s = self._clock.now()
-        texts = self._speaker.read(*names)
+        texts = self._fields(*names)
         if self._moved and not self._is("moving", texts):
             # One damaged character can turn motion into a standstill: the query is sent twice.
             asked_s = self._clock.now()
-            texts = self._speaker.read(*names)
+            texts = self._fields(*names)
         if "position" not in texts:
             asked_s = self._clock.now()
-            texts |= self._speaker.read("position")
+            texts |= self._fields("position")
         time_s = self._clock.now()
         moving = self._moved = self._is("moving", texts)
         faults = (texts[self._said.state["fault"].field],) if self._is("fault", texts) else ()
@@ -246,8 +211,9 @@ class LinesAxis(DescribedDevice, MotionAxis):
 
     def home(self) -> None:
         self._powered = False
-        self._make_ready()
-        self._speaker.home()
+        self._power()
+        self._halt()
+        self._search()
         end_s = self._clock.now() + float(self._config.home_timeout)
         while (reading := self.read()).moving:
             if self._clock.now() > end_s:
@@ -258,48 +224,39 @@ class LinesAxis(DescribedDevice, MotionAxis):
         self._referenced = True
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        limits = self._check(rate_dps, acceleration_dps2, position_deg)
-        self._require_ready(referenced=True)
-        self._make_ready()
-        self._prepare(rate_dps, acceleration_dps2)
+        values = self._prepare(rate_dps, acceleration_dps2, position_deg)
         own_deg = (position_deg - self._zero_deg) * self._config.direction
-        position = units.convert(own_deg, "deg", self._said.units.angle)
-        values = {"position": position, **self._motion(rate_dps, acceleration_dps2)}
-        command_and_verify(
-            self._clock,
+        values["position"] = units.convert(own_deg, "deg", self._said.units.angle)
+        near_deg = math.degrees(self._said.limits.step)
+        self._begin(
             f"The move to {position_deg:g} deg",
-            lambda: self._speaker.tell("move", values),
-            self.read,
-            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= limits.resolution_deg,
+            "move",
+            values,
+            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near_deg,
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         if "spin" not in self._said.tell:
             raise Rejected(f"The protocol of {self._title} has no command for a constant rate: use turns in the plan.")
-        self._check(abs(rate_dps), acceleration_dps2)
-        self._require_ready(referenced=False)
         shown_by = self._said.tell["spin"].shown_by
-        self._make_ready(stands=not shown_by)
-        self._prepare(abs(rate_dps), acceleration_dps2)
+        values = self._prepare(abs(rate_dps), acceleration_dps2, stands=not shown_by)
         signed = rate_dps * self._config.direction
-        velocity = units.convert(signed, "deg/s", self._said.units.rate)
-        values = {"velocity": velocity, **self._motion(abs(rate_dps), acceleration_dps2)}
+        values["velocity"] = math.copysign(values["rate"], signed)
         if self._said.limits.spin_angle is not None:
             far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
-            self._speaker.tell_shown("spin", values)
-            return
-        what, send = f"The rate {rate_dps:g} deg/s", lambda: self._speaker.tell("spin", values)
-        command_and_verify(self._clock, what, send, self.read, lambda reading: reading.moving)
+            self._tell_shown("spin", values)
+        else:
+            self._begin(f"The rate {rate_dps:g} deg/s", "spin", values, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
         end_s = self._clock.now() + _LONGEST_STOP_S
-        self._speaker.stop_homing()
+        self._stop_search()
         while self._clock.now() <= end_s:
             with suppress(ReplyTimeout, FramingError):
-                self._speaker.tell("stop", {})
+                self._tell("stop", {})
             again_s = self._clock.now() + _STOPS_AGAIN_S
             while self._clock.now() < again_s:
                 if not self.read().moving:
@@ -326,43 +283,47 @@ class LinesAxis(DescribedDevice, MotionAxis):
     def _zero_deg(self) -> float:
         return math.degrees(self._config.zero)
 
-    def _check(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> AxisLimits:
-        limits = self.limits()
-        require_within(limits.beyond(rate_dps, acceleration_dps2, position_deg))
-        return limits
-
-    def _require_ready(self, *, referenced: bool) -> None:
+    def _prepare(
+        self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None, *, stands: bool = True
+    ) -> dict[str, float]:
+        """What comes before a motion; returns the values of its command. Settings that the device keeps between moves
+        are restored at the end of a run."""
+        require_within(self.limits().beyond(rate_dps, acceleration_dps2, position_deg))
         reading = self.read()
-        if reading.faults or (referenced and not reading.referenced):
+        if reading.faults or (position_deg is not None and not reading.referenced):
             raise DeviceFault(
                 f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
             )
-
-    def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
+        self._power()
+        if stands:
+            self._halt()
         unit = self._said.units
         acceleration = units.convert(acceleration_dps2, "deg/s^2", unit.acceleration)
-        return {"rate": units.convert(rate_dps, "deg/s", unit.rate), "acceleration": acceleration}
-
-    def _make_ready(self, *, stands: bool = True) -> None:
-        """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
-        if "on" in self._said.tell:
-            if self._powered and not self._is("powered", self._speaker.read(*self._fields_of("powered"))):
-                raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
-            self._switch("on", "powered", True)
-            self._powered = True
-        if stands and self.read().moving:
-            self.stop()
-
-    def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
-        """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
-        values = self._motion(rate_dps, acceleration_dps2)
-        for name in ("acceleration", "rate"):
+        values = {"acceleration": acceleration, "rate": units.convert(rate_dps, "deg/s", unit.rate)}
+        for name in values:
             if name in self._said.tell:
-                self.settings.change(name, self._speaker.text_of(name, values))
+                self.settings.change(name, self._text_of(name, values))
+        return values
+
+    def _begin(self, what: str, command: str, values: dict[str, float], begun: Callable[[AxisReading], bool]) -> None:
+        command_and_verify(self._clock, what, lambda: self._tell(command, values), self.read, begun)
+
+    def _power(self) -> None:
+        """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
+        if "on" not in self._said.tell:
+            return
+        if self._powered and not self._is("powered", self._fields(*self._fields_of("powered"))):
+            raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
+        self._switch("on", "powered", True)
+        self._powered = True
+
+    def _halt(self) -> None:
+        if self.read().moving:
+            self.stop()
 
     def _setting(self, name: str) -> str:
         shown_by = self._said.tell[name].shown_by
-        return self._speaker.read(*shown_by)[shown_by[0]]
+        return self._fields(*shown_by)[shown_by[0]]
 
     def _set(self, name: str, value: str) -> None:
-        self._speaker.tell_shown(name, {name: float(value)})
+        self._tell_shown(name, {name: float(value)})

@@ -403,7 +403,7 @@ class Runner:
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         self.state = state
         self._shown_s = -math.inf
-        self._event("state", at_once=at_once, state=state.value)
+        self._event("state", at_once=at_once, state=state)
 
     def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()

@@ -294,7 +294,7 @@ class SimulatedImu:
         # The ends and middles of all parts.
         times_s = np.interp(np.arange(2.0 * _PARTS * count + 1.0) / (2.0 * _PARTS), samples, ends_s)
         rate, force = self._motion(times_s)
-        acceleration = _slopes(rate, period_s / _PARTS)
+        acceleration = np.gradient(rate, period_s / _PARTS, axis=1)
         load_c = self._climate.load_at(times_s)
         parts_c, shown_c = load_c[1::2], load_c[_PARTS :: 2 * _PARTS]
         middles_c, change = shown_c, np.diff(load_c[:: 2 * _PARTS]) / period_s
@@ -323,14 +323,6 @@ class SimulatedImu:
             seen[0] += np.array(axis)[:, None] * (np.diff(angles[::2]) / lasting_s)
         rate, force = self.table.mountings[self.mounting].T @ seen
         return rate, force
-
-
-def _slopes(values: Floats, step_s: float) -> Floats:
-    """Derivatives of values a step apart, by both neighbours."""
-    slopes = np.empty_like(values)
-    slopes[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / (2.0 * step_s)
-    slopes[:, [0, -1]] = (values[:, [1, -1]] - values[:, [0, -2]]) / step_s
-    return slopes
 
 
 def _at_lever(lever: Floats, rate: Floats, acceleration: Floats) -> Floats:

@@ -79,7 +79,6 @@ class SimulatedChamber(ChamberDriver):
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
         self.plant, self._clock, self._title = plant, clock, "simulated chamber"
         self._limits = roles.ChamberLimits(lowest_c, highest_c, hardware_ramp=True)
-        self.alarms: tuple[str, ...] = ()
 
     def identify(self) -> roles.Identity:
         return roles.Identity("simulated", "chamber")
@@ -91,7 +90,7 @@ class SimulatedChamber(ChamberDriver):
         now = self._clock.now()
         plant = self.plant.at(now)
         mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c, 1)
-        return roles.ChamberReading(now, air_c, None, plant.set_point_c, mode, plant.conditioning, self.alarms)
+        return roles.ChamberReading(now, air_c, None, plant.set_point_c, mode, plant.conditioning, ())
 
     def hold(self, temperature_c: float) -> None:
         self.set_point(temperature_c)

@@ -170,7 +170,7 @@ def _readings(simulator: _Simulator, line: Trajectory, angle: np.ndarray, time: 
     offset = float(simulator.encoder.offset[0])
     values = angle[rows] + np.where(between, offset * simulator.rng.standard_normal(len(rows)), 0.0)
     whole, kind = np.zeros(len(rows), int), np.full(len(rows), int(ReadingKind.PLANNED))
-    return AngleReadings.in_order([AngleReadings(time[rows], rows, whole, values, np.full(len(rows), np.nan), kind)])
+    return AngleReadings(time[rows], rows, whole, values, np.full(len(rows), np.nan), kind)
 
 
 def _standard(simulator: _Simulator, plan: StandardSchedule, axis: str) -> SimulatedLog:

@@ -56,7 +56,8 @@ def export(
     named = calibration if target in ("c-header", "csv", "template") else _in_triad(calibration)
     done = FORMATS[target](named, ExportOptions(temperature_c, instance, device_id, template))
     losses = [] if done.corrected is None else losses_of(named, done.inputs, done.corrected)
-    notes = [*done.notes, *(f"{one.label}, {one.value:.3g} {one.unit}, is lost" for one in calibration.path)]
+    path = [f"{one.label}, {one.value:.3g} {one.unit}: the target has no place for it" for one in calibration.path]
+    notes = [*done.notes, *path]
     if calibration.unobservable and target != "csv":
         notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     if calibration.simulated:

@@ -42,9 +42,8 @@ def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int
     record = numbers(contents) | {"memory_bytes": needed_bytes(contents)}
     record["unobservable"] = None if files_only or too else blind
     lines = [strong(contents.title or str(file)), summary(contents), *omitted_lines(contents)]
-    for sentence in blind:
-        lines.append(f"{'cannot be observed' if 'cannot observe' in sentence else 'note'}: {sentence}")
-    sound = "the spec has no errors" + ("; read the warnings above" if blind else "")
+    lines += [f"note: {sentence}" for sentence in blind]
+    sound = "the spec has no errors" + ("; read the notes above" if blind else "")
     lines.append(f"too large: {too}" if too else sound)
     return show("\n".join(lines), record, json=json, wished=not too)
 

@@ -152,16 +152,16 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path
     from gradcal_jax.tables.contracts import outcomes
 
-    calibration, tested = report.calibration, report.consistency
+    calibration, solution, left = report.calibration, report.solution, abs(report.solution.residuals)
     counts = ", ".join(f"{count} {reason}" for reason, count in report.counts.items())
     few = len(calibration.values()) <= _MOST_COEFFICIENTS
     tables = [outcomes(report.requirements), *([coefficients(None, calibration)] if few else [])]
     tables += [of_path(calibration), errors_of_table(calibration)]
     fits = (
-        f"the residuals are {tested.noise_scale:.3f} times the noise of the spec; {tested.beyond_three:.2%} of them "
-        f"exceed 3σ, and the largest is {tested.largest:.1f}σ"
+        f"the residuals are {solution.noise_scale:.3f} times the noise of the spec; {(left > 3.0).mean():.2%} of them "
+        f"exceed 3σ, and the largest is {left.max():.1f}σ"
     )
-    return _text(calibration, f"{report.solution.used.sum()} readings; rows: {counts}", tables, [fits], report.messages)
+    return _text(calibration, f"{solution.used.sum()} readings; rows: {counts}", tables, [fits], report.messages)
 
 
 def text_of_held(report: "HandReport") -> str:

@@ -73,7 +73,8 @@ def status_text(status: dict[str, Any]) -> str:
     if (chamber := status.get("chamber")) is not None:
         text = f"air {chamber['air_c']:.1f} degC"
         if (course := status.get("course_c")) is not None:
-            text += f" (course {course[0]:.1f}" + (f" to {course[1]:.1f})" if course[0] != course[1] else ")")
+            low, high = (f"{end:.1f}" for end in course)
+            text += f" (set point {low} degC)" if low == high else f" (recent set points from {low} to {high} degC)"
         parts += [text, *(f"ALARM {alarm}" for alarm in chamber["alarms"])]
     for name, axis in status["axes"].items():
         angle = "turned by hand" if axis["position_deg"] is None else f"{axis['position_deg']:.3f} deg"

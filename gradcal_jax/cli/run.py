@@ -220,7 +220,7 @@ class _Watcher:
 
     def _show_all(self) -> None:
         for progress in iter(self._news.get, None):
-            now = (progress.state.value, progress.step)
+            now = (progress.state, progress.step)
             # While the operator is asked, this line is typed on.
             asked = self._terminal is not None and self._terminal.asking
             if not (self._quiet or asked) and (now != self._last or not self._line.plain):

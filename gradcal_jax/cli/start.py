@@ -129,6 +129,7 @@ def _next(answers: dict[str, str], folder: str, mountings: int) -> list[str]:
     )
     return [
         *([connect] if several else []),
+        f"gradcal check {folder}/spec.toml",
         f"gradcal predict {folder}/spec.toml",
         f"gradcal optimise {folder}/spec.toml{as_it_is} -o {folder}/recipe.toml",
         f"gradcal run {folder}/recipe.toml --simulate -o {folder}/rehearsal",

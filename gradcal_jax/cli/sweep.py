@@ -65,9 +65,12 @@ def sweep(
             return INTERRUPTED
     table = summary_of(results)
     failures = [str(reason) for reason in results["failure"].values.ravel() if reason]
-    lines = [strong(job.file.title or str(output)), f"{results['failure'].size} points, {len(failures)} of them failed"]
-    lines += [f"the most frequent reason: {Counter(failures).most_common(1)[0][0]}"] if failures else []
-    lines += ["", table.text(), f"results: {output}"]
+    done = f"{results['failure'].size} points"
+    if failures:
+        reasons = Counter(failures).most_common()
+        more = f" (and {len(reasons) - 1} other reasons, in the results)" if len(reasons) > 1 else ""
+        done += f"; {len(failures)} of them failed: {reasons[0][0]}{more}"
+    lines = [strong(job.file.title or str(output)), done, "", table.text(), f"results: {output}"]
     if plot is not None:
         from gradcal_jax.plots import draw_sweep, save
 

@@ -1,7 +1,7 @@
 """From readings to parameters with covariance, by the measurement model of the prediction."""
 
 from gradcal_jax.estimation.alignment_check import CoarseFit, coarse_fits
-from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency
+from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.estimation.imu_readings import ImuReadings, readings_counted, readings_of

@@ -12,7 +12,7 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.calibration.file import Calibration
-from gradcal_jax.estimation import Consistency, ExecutedImu, ImuEstimate, Test
+from gradcal_jax.estimation import ExecutedImu, ImuEstimate, Test
 from gradcal_jax.estimation.added_columns import Whitener, added_tests, halves_test
 from gradcal_jax.estimation.calibration_of_fit import Range, calibration_of
 from gradcal_jax.estimation.calibration_rows import (
@@ -76,7 +76,6 @@ class SensorEstimate(NamedTuple):
     solution: ImuEstimate
     calibration: Calibration
     requirements: tuple[RequirementRow, ...]
-    consistency: Consistency
     tests: Mapping[str, Test]
     messages: tuple[str, ...]
     lag: Lag = Lag(0.0)
@@ -237,8 +236,9 @@ def _report_of(
     readings, solution, lag = fit.readings, fit.solution, fit.lag
     done, model, spec = readings.done, built.model, built.spec
     stable, temperature = isinstance(spec.plan, StandardPlan), readings.temperature_c
-    summed = estimation.consistency(solution)
-    tests = _tests_of_fit(solution, model, summed, _heating(fit))
+    # The factor by which residuals exceed the spec's noise where the χ² test fails.
+    excess = 1.0 if solution.test.passed else max(1.0, solution.noise_scale)
+    tests = _tests_of_fit(solution, model, _heating(fit))
     covered = _covered(done, fit.rates, temperature)
     record = temperature[int(done.rows[0]) : int(done.rows[-1]) + 1]
     whiten = Whitener(readings)
@@ -247,9 +247,9 @@ def _report_of(
     lag_std = 0.0 if lag.in_rows else lag.std
     run = EstimatedRun(solution.parameters, covered[0], answers, lag_std, goes_one_way(record), options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
-    known = solution.known._replace(spread=solution.known.spread * summed.excess)
+    known = solution.known._replace(spread=solution.known.spread * excess)
     budget = budget_of_estimate(estimated, known, run, noise)
-    of_fit = failed(tests | dict(added_tests(spec, whiten, solution, summed.excess)))
+    of_fit = failed(tests | dict(added_tests(spec, whiten, solution, excess)))
     of_fit += beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(model))
     contradicted = tuple(one.name for one in (*shown.findings, *of_fit) if one.contradicts)
     beyond = [beyond_the_data(requirement, *covered) for requirement in spec.requirement]
@@ -277,7 +277,7 @@ def _report_of(
     sentences = [
         *(points_of(built, readings.log).sentences if stable else []),
         *fit.messages,
-        *sentences_of([*_remarks(summed, solution), *of_fit]),
+        *sentences_of([*_remarks(solution), *of_fit]),
         *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
         *one_way_sentences(built, solution.known),
         *branch_sentences(spec),
@@ -292,7 +292,6 @@ def _report_of(
         solution,
         calibration,
         requirements,
-        summed,
         of_tests,
         tuple(sentences),
         lag,
@@ -322,15 +321,13 @@ def _heating(fit: Fit) -> np.ndarray:
     return (ends[at.last + 1] > ends[at.first])[at.row_segment][fit.solution.used]
 
 
-def _tests_of_fit(
-    solution: ImuEstimate, model: ImuModel, tests: Consistency, heating: np.ndarray
-) -> dict[str, tuple[Test, str]]:
+def _tests_of_fit(solution: ImuEstimate, model: ImuModel, heating: np.ndarray) -> dict[str, tuple[Test, str]]:
     """The tests of a fit by their names in the calibration file, each with what to say if it fails; `heating`: truth
     values of the rows used."""
     named = {
         CHI_SQUARED: (
-            tests.fit,
-            f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete (try a "
+            solution.test,
+            f"the residuals are {solution.noise_scale:.3g} times the noise of the spec: the model is incomplete (try a "
             "higher degree of the polynomials), something jumped or drifted during the run, or the noise figures are "
             "too small; requirements are judged with the larger noise",
         )
@@ -349,7 +346,7 @@ def _tests_of_fit(
     return named
 
 
-def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
+def _remarks(solution: ImuEstimate) -> Iterator[FitFinding]:
     """What contradicts no model."""
     if solution.moved > _MOVED:
         yield FitFinding(
@@ -360,13 +357,13 @@ def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
             "from the spec by more than small angles",
             contradicts=False,
         )
-    if tests.fit.probability > 1.0 - _TOO_GOOD:
+    if solution.test.probability > 1.0 - _TOO_GOOD:
         yield FitFinding(
             "small residuals",
-            tests.noise_scale,
+            solution.noise_scale,
             1.0,
-            f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the spec's noise figures are "
-            "larger than the noise of this sensor",
+            f"the residuals are only {solution.noise_scale:.3g} times the noise of the spec: the spec's noise figures "
+            "are larger than the noise of this sensor",
             contradicts=False,
         )
 
@@ -417,17 +414,18 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
 
 def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
     """All numbers of an estimate for `--json`."""
-    calibration, tests = report.calibration, report.consistency
+    calibration, solution = report.calibration, report.solution
+    left = np.abs(solution.residuals)
     return rows_of_estimate(
         calibration,
         report.messages,
-        readings=int(np.count_nonzero(report.solution.used)),
+        readings=int(np.count_nonzero(solution.used)),
         rows=dict(report.counts),
         lag_s=report.lag.seconds,
         lag_std_s=report.lag.std,
-        noise_scale=finite(tests.noise_scale),
-        share_beyond_three_sigma=tests.beyond_three,
-        largest_residual_sigma=tests.largest,
+        noise_scale=finite(solution.noise_scale),
+        share_beyond_three_sigma=float(np.mean(left > 3.0)),
+        largest_residual_sigma=float(left.max()),
         table=[row.model_dump(mode="json") for row in calibration.table],
         requirements=[
             row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}

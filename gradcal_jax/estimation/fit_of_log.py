@@ -130,7 +130,7 @@ def _corrected(
     """Rates (rad/s) and specific forces (m/s²) `(n, 3)` corrected by an estimate."""
     held = tuple(calibrated_channels(built, built.model.to_reported @ parameters, _EVERYWHERE))
     # (At rest a correction changes with the temperature alone, and most rows of a run's log are at rest.)
-    still = minimum_filter1d(rows.standing, 2 * _EACH)
+    still = np.asarray(minimum_filter1d(rows.standing, 2 * _EACH), bool)
     at = np.flatnonzero(rows.usable & ~(still & (np.arange(len(still)) % _EACH > 0)))
     true = correct_triads(held, rows.rates[at], rows.force[at], temperature[at])
     rates, felt = (_between(of, at, done) for of, done in zip((rows.rates, rows.force), true, strict=True))

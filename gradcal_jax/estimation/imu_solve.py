@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_readings import ImuReadings
 from gradcal_jax.information import NoiseSteps, Posterior, by_reading
 from gradcal_jax.information.posterior import known_of
@@ -63,6 +64,16 @@ class ImuEstimate(NamedTuple):
     moved: float
     rounds: int
     curved: float
+
+    @property
+    def test(self) -> Test:
+        """The χ² test of the fit."""
+        return chi_squared_test(self.chi_squared, self.degrees)
+
+    @property
+    def noise_scale(self) -> float:
+        """√(χ²/degrees), the factor by which the noise differs from the spec."""
+        return float(np.sqrt(self.chi_squared / self.degrees)) if self.degrees > 0 else float("nan")
 
     @property
     def excess(self) -> float:

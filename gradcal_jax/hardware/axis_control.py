@@ -8,20 +8,18 @@ Deviations from the track raise `StepNotDone`: a late command, a turn that ended
 another rate. The allowed rate of an axis follows from its commands; its place at every instant from the turn under way.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gradcal_jax.hardware.chamber_control import Tell
-from gradcal_jax.hardware.clock import Clock, beside, until
+from gradcal_jax.hardware.clock import Clock, Work, beside, until
 from gradcal_jax.hardware.errors import HardwareError, StepNotDone
 from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
-
-Duties = Callable[[], None]
-"""What the run does while it waits for an axis."""
 
 _POLL_S, _POLL_BY_HAND_S = 0.05, 0.25
 _LONGEST_MOVE_S = 120.0
@@ -103,7 +101,7 @@ class Axis:
         command = self.command
         return -math.inf if command is None else self.began_s + command.duration_s + command.answer_s
 
-    def search(self, duties: Duties) -> None:
+    def search(self, duties: Work) -> None:
         """Find the reference, at a rate that the device chooses."""
         self.event("homing", axis=self.name)
         self._told_dps, self._rests_deg = math.inf, math.nan
@@ -194,13 +192,12 @@ class Axis:
 
     # What is wrong with the newest reading: a sentence each, or an empty one.
 
-    def faulty(self) -> str:
-        return f"axis {self.name}: {', '.join(self.newest.faults)}" if self.newest and self.newest.faults else ""
+    def faulty(self, newest: AxisReading) -> str:
+        return f"axis {self.name}: {', '.join(newest.faults)}" if newest.faults else ""
 
-    def too_fast(self) -> str:
+    def too_fast(self, newest: AxisReading) -> str:
         """A sentence where it turns faster than by its commands, or than the rig allows."""
-        newest = self.newest
-        if newest is None or self.limits.by_hand or newest.time_s <= self._told_s:
+        if self.limits.by_hand or newest.time_s <= self._told_s:
             return ""
         bounds = self._allowed_dps(), self.limits.max_rate_dps
         if abs(newest.rate_dps) <= min(bound + _tolerance_dps(bound) for bound in bounds):
@@ -208,20 +205,19 @@ class Axis:
         turns = f"axis {self.name} turns at {newest.rate_dps:.1f} deg/s"
         return f"{turns}; the command was {bounds[0]:g}, and the rig allows {bounds[1]:g}"
 
-    def strays(self) -> str:
+    def strays(self, newest: AxisReading) -> str:
         """A sentence where it has left the angle at which it stood without a command, whatever its state says."""
-        newest = self.newest
-        if newest is None or self.limits.by_hand or not abs(newest.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
+        if self.limits.by_hand or not abs(newest.position_deg - self._rests_deg) > _OFF_GOAL_DEG:
             return ""
         return (
             f"axis {self.name} stood at {self._rests_deg:.1f} deg and was not told to move, and is at "
             f"{newest.position_deg:.1f} deg: check its controller, and whether something pushed it"
         )
 
-    def stalled(self) -> str:
+    def stalled(self, newest: AxisReading) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
-        command, newest = self.command, self.newest
-        if command is None or newest is None or self.spins or self.limits.by_hand:
+        command = self.command
+        if command is None or self.spins or self.limits.by_hand:
             return ""
         stood_s, after_s = newest.time_s - self._stands_since_s, newest.time_s - self.began_s
         if not newest.moving or stood_s < _STALL_S:
@@ -275,7 +271,7 @@ class AxisControl:
         """The axes whose move ends by itself, by name."""
         return [axis for _, axis in sorted(self.axes.items()) if axis.looks_s < math.inf]
 
-    def home(self, names: list[str], duties: Duties) -> None:
+    def home(self, names: list[str], duties: Work) -> None:
         for name in names:
             self.axes[name].homed = False
         for name in names:
@@ -286,7 +282,7 @@ class AxisControl:
         """Whether an axis may still be told to find its reference, also after a run has been ended."""
         return self._clock.now() < self.axes[name].searches_since_s + _SEARCH_TOLD_S
 
-    def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Duties) -> None:
+    def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Work) -> None:
         """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, goal in start_deg.items():
             axis, limits = self.axes[name], self.axes[name].limits
@@ -298,16 +294,12 @@ class AxisControl:
                 axis.tell(step, AxisCommand(0.0, name, "go", goal - axis.at_deg, rate, acceleration))
                 self._settle(axis, duties)
 
-    def move(self, step: str, move: AxisCommand, due_s: float, duties: Duties) -> None:
+    def move(self, step: str, move: AxisCommand, due_s: float, duties: Work) -> None:
         """A turn waits until the turn before it has ended, of any axis: one axis turns at a time, the others hold. The
         delay is in the journal."""
         axis = self.axes[move.axis]
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             raise StepNotDone(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
-        if move.kind == "turn" and axis.spins:
-            axis.device.stop()
-            axis.command = None
-            self._settle(axis, duties)
         for other in self._turning():
             if other is not axis or move.kind == "turn":
                 self._settle(other, duties)
@@ -352,13 +344,14 @@ class AxisControl:
             "stray axis": Axis.strays,
             "stalled axis": Axis.stalled,
         }
-        return {rule: "; ".join(filter(None, map(said, self.axes.values()))) for rule, said in rules.items()}
+        read = [(axis, axis.newest) for axis in self.axes.values() if axis.newest is not None]
+        return {rule: "; ".join(filter(None, itertools.starmap(said, read))) for rule, said in rules.items()}
 
-    def settle_all(self, duties: Duties) -> None:
+    def settle_all(self, duties: Work) -> None:
         for axis in self._turning():
             self._settle(axis, duties)
 
-    def _settle(self, axis: Axis, duties: Duties) -> None:
+    def _settle(self, axis: Axis, duties: Work) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
         longest_s = math.inf if axis.limits.by_hand else max(0.0, axis.ends_s - self._clock.now()) + _LONGEST_MOVE_S
         stands = until(

@@ -34,9 +34,7 @@ class CrcOfRows:
             register = np.where(carry, register ^ poly, register)
         # The register after one byte, from zero.
         self._after = register
-        self._last, self._init = register, np.array(init)
-        for _ in range(zeros):
-            self._last, self._init = self._shifted(self._last), self._shifted(self._init)
+        self._init, self._zeros = np.array(init), zeros
         # By the length of rows: what each byte contributes `(length · 256,)`, and what `init` does.
         self._parts: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
@@ -44,10 +42,10 @@ class CrcOfRows:
         """`(n, length) -> (n,)`."""
         length = rows.shape[1]
         if length not in self._parts:
-            begun, parts = self._shifted(self._init), [self._last]
-            while len(parts) < length:
+            begun, parts = self._shifted(self._init), [self._after]
+            while len(parts) < length + self._zeros:
                 begun, parts = self._shifted(begun), [self._shifted(parts[0]), *parts]
-            self._parts[length] = np.concatenate(parts), begun ^ self._xorout
+            self._parts[length] = np.concatenate(parts[:length]), begun ^ self._xorout
         parts, begun = self._parts[length]
         places: NDArray[np.int64] = rows.T + 256 * np.arange(length, dtype=np.int64)[:, None]
         return np.bitwise_xor.reduce(parts.take(places), axis=0) ^ begun

@@ -14,6 +14,8 @@ from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 _LOOKS_S, _BESIDE_S = 0.01, 0.1
+Work = Callable[[], object]
+"""What is done in a thread of its own, or beside it."""
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
 
@@ -38,7 +40,7 @@ class RealClock:
         """Context in which virtual time stands still unless this thread waits on the clock."""
         return nullcontext()
 
-    def begin(self, work: Callable[[], object]) -> None:
+    def begin(self, work: Work) -> None:
         """Begin `work` in a thread of its own, a party of the clock."""
         threading.Thread(target=work, daemon=True, name="beside the run").start()
 
@@ -88,7 +90,7 @@ class VirtualClock:
         finally:
             self._leave()
 
-    def begin(self, work: Callable[[], object]) -> None:
+    def begin(self, work: Work) -> None:
         with self._lock:
             gate = self._queue(self._now)
             self._wake_next()
@@ -133,7 +135,7 @@ Clock = RealClock | VirtualClock
 def until(
     is_so: Callable[[], bool],
     clock: Clock,
-    duties: Callable[[], object] = lambda: None,
+    duties: Work = lambda: None,
     *,
     longest_s: float = math.inf,
     every_s: float = _LOOKS_S,
@@ -160,7 +162,7 @@ def holding(lock: threading.RLock, clock: Clock) -> Generator[None, None, None]:
 
 
 @contextmanager
-def repeating(work: Callable[[], object], every_s: float) -> Generator[None, None, None]:
+def repeating(work: Work, every_s: float) -> Generator[None, None, None]:
     """Context in which a thread of its own does `work` again and again, every so many real seconds and at the end."""
     over = threading.Event()
 
@@ -178,7 +180,7 @@ def repeating(work: Callable[[], object], every_s: float) -> Generator[None, Non
         thread.join(timeout=35.0)
 
 
-def in_thread(work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object]) -> threading.Event:
+def in_thread(work: Work, clock: Clock, failed: Callable[[Exception], object]) -> threading.Event:
     """Begin `work` in a thread of its own; `failed` gets what it raises. Returns what is set at its end."""
     over = threading.Event()
 
@@ -193,7 +195,7 @@ def in_thread(work: Callable[[], object], clock: Clock, failed: Callable[[Except
     return over
 
 
-def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None]) -> None:
+def beside(work: Work, clock: Clock, duties: Work) -> None:
     """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
     what either raises; where a duty does, nobody waits for the work any more."""
     problems: list[Exception] = []

@@ -19,7 +19,7 @@ from typing import Final, TypedDict, Unpack
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock, repeating
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import BEAT_S, Guard
-from gradcal_jax.hardware.interlocks import InterlockLimits
+from gradcal_jax.hardware.interlocks import InterlockLimits, limits_of
 from gradcal_jax.hardware.journal import Journal, Recorder
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
@@ -202,18 +202,6 @@ def run_session(
         if watched is not None and not (unsafe and result.begun):
             watched.done()
         return result
-
-
-def limits_of(rig: RigFile) -> InterlockLimits:
-    if (chamber := rig.chamber) is None:
-        return InterlockLimits()
-    limits = {
-        "temperature_band_k": chamber.band,
-        "temperature_lag_s": chamber.lag,
-        "never_above_c": chamber.never_above,
-        "never_below_c": chamber.never_below,
-    }
-    return InterlockLimits(**{name: float(limit) for name, limit in limits.items() if limit is not None})
 
 
 def _beat(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> None:

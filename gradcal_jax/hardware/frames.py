@@ -24,13 +24,15 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit, missing
-from gradcal_jax.hardware.roles import Floats, ImuBatch, join
+from gradcal_jax.hardware.roles import Flags, Floats, ImuBatch, Integers, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency
 from gradcal_jax.tables.section import Section
 
 FRAMES: Final = "gradcal-frames/1"
+Rows = NDArray[np.uint8]
+"""Bytes, a row for each frame, or those of a stream."""
 Type = Literal["u8", "i8", "u16", "i16", "i24", "u24", "i32", "u32", "u64", "f32", "f64"]
 Order = Literal["big", "little"]
 At = Annotated[int, Field(strict=True, ge=0, le=999)]
@@ -83,7 +85,7 @@ class Number(Section):
         """Offset behind them."""
         return self.at + self.numbers * (int(self.type[1:]) // 8)
 
-    def of(self, rows: NDArray[np.uint8], order: Order) -> NDArray[np.generic]:
+    def of(self, rows: Rows, order: Order) -> NDArray[np.generic]:
         """`(n, length)` bytes -> `(n, numbers)`."""
         end, kind, size = ">" if order == "big" else "<", self.type[0], int(self.type[1:]) // 8
         block = np.ascontiguousarray(rows[:, self.at : self.end])
@@ -255,7 +257,7 @@ class FrameDecoder(SampleDecoder):
             return join([])
         return self._decode(sliding_window_view(whole, length)[starts], arrived_s, disturbed[:-1])
 
-    def _search(self, data: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
+    def _search(self, data: Rows) -> tuple[Integers, int]:
         """Where the sound frames begin, and where the bytes begin that more bytes may make a frame."""
         length, sync = self._unit.length, self._sync
         # Nearly always the bytes are sound frames without noise.
@@ -276,7 +278,7 @@ class FrameDecoder(SampleDecoder):
         waiting = (at for at in rest if bytes(sync).startswith(bytes(data[at : at + len(sync)])))
         return np.array(starts, np.int64), next(waiting, len(data))
 
-    def _sound(self, rows: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def _sound(self, rows: Rows) -> Flags:
         """`(n, length) -> (n,)`: whether the sync bytes and the checksum of a frame are right."""
         check = self._unit.check
         covered = rows[:, check.start : check.at]
@@ -287,12 +289,12 @@ class FrameDecoder(SampleDecoder):
             right = self._crc(covered) == self._sent.of(rows, check.order)[:, 0]
         return right & (rows[:, : len(self._sync)] == self._sync).all(axis=1)
 
-    def _decode(self, rows: NDArray[np.uint8], host_time_s: Floats, disturbed: NDArray[np.bool_]) -> ImuBatch:
+    def _decode(self, rows: Rows, host_time_s: Floats, disturbed: Flags) -> ImuBatch:
         unit, count = self._unit, len(rows)
         stamps = np.zeros(count)
         if self._stamp is not None:
             stamps = self._stamp.of(rows, unit.order)[:, 0].astype(np.float64)
-        values: dict[str, NDArray[np.float64]] = {}
+        values: dict[str, Floats] = {}
         for name, column in unit.columns.items():
             numbers = column.of(rows, unit.order).astype(np.float64) / column.counts
             values[name] = np.repeat(converted(name, numbers, column.unit), 3 // column.values, axis=1)
@@ -306,4 +308,4 @@ class FrameDecoder(SampleDecoder):
                 self._starting = bool(starting[-1])
         unusable = ~np.isfinite(np.hstack(list(values.values()))).all(axis=1)
         status[unusable & (status == 0)] = 1
-        return self._batch(host_time_s, stamps, values, disturbed, status=status, restarted=restarted)
+        return self._batch(host_time_s, stamps, values, disturbed, status, restarted)

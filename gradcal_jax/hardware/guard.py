@@ -33,7 +33,7 @@ from typing import Any
 from gradcal_jax.hardware import transport
 from gradcal_jax.hardware.clock import Clock, RealClock, in_thread, until
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
-from gradcal_jax.hardware.journal import Journal, event_fields
+from gradcal_jax.hardware.journal import Event, Journal, event_fields
 from gradcal_jax.hardware.roles import SafeReport
 from gradcal_jax.hardware.setup import LEFT, Bench, configs_of, lines_of, only_of, open_rig
 from gradcal_jax.hardware.supervision import SafeOutcome, end_status, sound_alarm
@@ -267,10 +267,10 @@ def make_folder_safe(
     clock, rig = RealClock(), rig or read_rig(folder / "rig.toml")
     lines, began_s, started = lines_of(rig), clock.now(), before or {}
     outcomes = {name: SafeOutcome(name, action) for name, (_, action) in lines.items()}
-    happened: list[tuple[float, str, dict[str, Any]]] = []
+    happened: list[Event] = []
 
     def note(name: str, **data: Any) -> None:
-        happened.append((clock.now(), name, data))
+        happened.append(Event(clock.now(), name, data))
 
     def attempt(names: list[str]) -> list[SafeOutcome]:
         with open_rig(only_of(rig, names), clock) as bench:
@@ -329,20 +329,20 @@ def _say(sentence: str) -> None:
         print(sentence, file=sys.stderr, flush=True)
 
 
-def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> None:
+def _write(path: Path, happened: list[Event]) -> None:
     """Written when the devices are safe: a full disk may have ended the run."""
     events, happened[:] = happened[:], []
     if not events:
         return
     try:
         with Journal(path) as journal:
-            for time_s, name, data in events:
-                journal.event(time_s, name, **data)
+            for event in events:
+                journal.event(event.time_s, event.name, **event.data)
         problem = journal.problem
     except Exception as error:
         problem = str(error)
     if problem:
-        _say("\n".join([problem, *(f"{name}: {data}" for _, name, data in events)]))
+        _say("\n".join([problem, *(f"{event.name}: {event.data}" for event in events)]))
 
 
 if __name__ == "__main__":

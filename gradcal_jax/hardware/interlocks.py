@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from gradcal_jax.spec.rig import RigFile
+
 # How long a rule may be violated before it trips, where that is not at once: a short opening of the door ends no run.
 PATIENCE_S: Final = {"temperature course": 30.0, "idle chamber": 30.0}
 
@@ -29,3 +31,16 @@ class InterlockLimits:
     lost_share: float = 0.02
     imu_stale_s: float = 2.0
     free_bytes: float = 200e6
+
+
+def limits_of(rig: RigFile) -> InterlockLimits:
+    """Those of a rig file."""
+    if (chamber := rig.chamber) is None:
+        return InterlockLimits()
+    limits = {
+        "temperature_band_k": chamber.band,
+        "temperature_lag_s": chamber.lag,
+        "never_above_c": chamber.never_above,
+        "never_below_c": chamber.never_below,
+    }
+    return InterlockLimits(**{name: float(limit) for name, limit in limits.items() if limit is not None})

@@ -40,6 +40,8 @@ _LONGEST, _LONGEST_NAME = 1 << 26, 255
 # A disk that makes no progress for so long has failed.
 _LONGEST_WAIT_S = 10.0
 _SYNC_EVERY_S = 1.0
+# Records for which nobody waits are written together.
+_GATHERS_S = 0.02
 _LOOKS_S = 0.25
 _NUMBER = (int, float)
 # The fields of events that are read back, and their types.
@@ -109,7 +111,7 @@ class Journal(AbstractContextManager["Journal"]):
         self.free_bytes = self._free()
         """Of the disk, at least every second while the run writes."""
         # Guards what waits for the disk, whether somebody waits with it, and what is set when the disk has it.
-        self._lock, self._wake = threading.Lock(), threading.Event()
+        self._lock, self._wake, self._urgent = threading.Lock(), threading.Event(), threading.Event()
         self._waiting, self._awaited, self._on_disk = list[bytes](), False, threading.Event()
         self._closing = False
         self._writer = threading.Thread(target=self._write_on, daemon=True, name="journal")
@@ -143,6 +145,7 @@ class Journal(AbstractContextManager["Journal"]):
 
     def close(self) -> None:
         self._closing = True
+        self._urgent.set()
         self._wake.set()
         self._writer.join(_LONGEST_WAIT_S if self.problem else None)
 
@@ -156,6 +159,8 @@ class Journal(AbstractContextManager["Journal"]):
             if not (self._problem or self._closing):
                 self._waiting.append(_SYNC + body + zlib.crc32(body).to_bytes(4, "little"))
                 self._awaited |= awaited
+                if awaited:
+                    self._urgent.set()
                 self._wake.set()
             return self._on_disk
 
@@ -165,7 +170,9 @@ class Journal(AbstractContextManager["Journal"]):
         synced_s, dirty, ends = time.monotonic(), False, False
         while not ends:
             self._wake.wait(_SYNC_EVERY_S if dirty else None)
+            self._urgent.wait(_GATHERS_S)
             self._wake.clear()
+            self._urgent.clear()
             with self._lock:
                 ends = self._closing or bool(self._problem)
                 batch, awaited, on_disk = b"".join(self._waiting), self._awaited, self._on_disk

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
+from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.description import Commands, DeviceDescription, TextList, listed, missing
 from gradcal_jax.hardware.templates import FIELD, VALUE
 from gradcal_jax.tables import quantity as q
@@ -55,6 +56,29 @@ class Line(Section):
     """Waiting time between a command and the next message."""
     refusal: q.AnyText | None = None
     """Reply by which the device refuses a command."""
+
+    def message(self, text: str, *, bare: bool = False) -> bytes:
+        """The bytes of a text; `bare`: without `ends`."""
+        body = (self.prefix + text).encode("latin-1")
+        if self.frame == "plain":
+            return body if bare else body + self.ends.encode("latin-1")
+        body = bytes([self.address]) + bytes(byte | 0x80 for byte in body)
+        return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
+
+    def texts(self, received: bytes) -> list[str]:
+        """The complete messages among bytes; those that are damaged are left out."""
+        if self.frame != "plain":
+            *framed, _ = received.split(b"\x03")
+            bodies = (bytes(byte & 0x7F for byte in frame.rpartition(b"\x02")[2]) for frame in framed if 2 in frame)
+            address = self.address & 0x7F
+            frames = [body[1:-1] for body in bodies if len(body) > 1 and body[0] == address and not xor8(body)]
+        elif self.reply_ends:
+            *frames, _ = received.split(self.reply_ends.encode("latin-1"))
+        else:
+            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
+            frames = list(filter(None, lines))
+        texts = [frame.strip(b" \t\r\n\x11\x13").decode("latin-1") for frame in frames]
+        return [text for text in texts if text.isprintable()]
 
 
 class LineQuestion(Section):

@@ -7,7 +7,7 @@ The roles are `typing` protocols: a driver has the methods and inherits nothing.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware.errors import HardwareError
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
 
 
@@ -249,40 +251,25 @@ class ImuBatch:
     restarted       (n,)   whether the IMU restarted before it, so that its own time is not continuous
     """
 
-    host_time_s: NDArray[np.float64]
-    device_time_s: NDArray[np.float64]
-    gyro_dps: NDArray[np.float64]
-    acceleration_g: NDArray[np.float64]
-    temperature_c: NDArray[np.float64]
-    status: NDArray[np.int64]
-    gap_before: NDArray[np.int64]
-    disturbed: NDArray[np.bool_]
-    restarted: NDArray[np.bool_]
+    host_time_s: Floats
+    device_time_s: Floats
+    gyro_dps: Floats
+    acceleration_g: Floats
+    temperature_c: Floats
+    status: Integers
+    gap_before: Integers
+    disturbed: Flags
+    restarted: Flags
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
 
 
-def imu_batch(
-    host_time_s: float | Floats,
-    device_time_s: Floats,
-    gyro_dps: Floats,
-    acceleration_g: Floats,
-    temperature_c: Floats,
-    **more: Any,
-) -> ImuBatch:
-    """Samples that came together; fields that are not given are zero, or not sent."""
-    count = len(device_time_s)
-    none: dict[str, Any] = {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
-    none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
-    host = np.zeros(count) + host_time_s
-    return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
-
-
 def join(batches: Sequence[ImuBatch]) -> ImuBatch:
     """One batch of several; an empty one of none."""
     if not batches:
-        return imu_batch(0.0, np.zeros(0), *(np.zeros((0, 3)) for _ in range(3)))
+        times, vectors, numbers, flags = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        return ImuBatch(times, times, vectors, vectors, vectors, numbers, numbers, flags, flags)
     names = ImuBatch.__dataclass_fields__
     return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
 

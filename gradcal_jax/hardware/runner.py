@@ -232,10 +232,13 @@ class Runner:
         agenda += [(move.start_s, move) for move in step.moves]
         # A reading at the time of a move comes first.
         agenda.sort(key=lambda entry: entry[0])
+        motion, end, late_s = begin, self._step_ends_s, math.nan
         while True:
-            motion = begin + axes.late_s
-            end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
-            agenda = [entry for entry in agenda if entry[1] or motion + entry[0] <= end + 1e-6]
+            if axes.late_s != late_s:
+                late_s = axes.late_s
+                motion = begin + late_s
+                end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
+                agenda = [entry for entry in agenda if entry[1] or motion + entry[0] <= end + 1e-6]
             while agenda and motion + agenda[0][0] <= self.clock.now() and not axes.turned_by_hand:
                 start_s, move = agenda.pop(0)
                 if move is not None:
@@ -400,7 +403,7 @@ class Runner:
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         self.state = state
         self._shown_s = -math.inf
-        self._event("state", at_once=at_once, state=state.value)
+        self._event("state", at_once=at_once, state=state)
 
     def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()

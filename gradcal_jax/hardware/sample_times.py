@@ -8,13 +8,12 @@ sample whose stamp is that of the one before came twice, and is left out.
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax import units
-from gradcal_jax.hardware.roles import Floats, ImuBatch, imu_batch
+from gradcal_jax.hardware.roles import Flags, Floats, ImuBatch, Integers
 
 _LONG = 1 << 16
 SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -67,16 +66,23 @@ class SampleDecoder:
         self._disturbed = self._disturbed or count > 0
 
     def _batch(
-        self, host_time_s: float | Floats, stamps: Floats, values: Mapping[str, Floats], disturbed: Any, **more: Any
+        self,
+        host_time_s: float | Floats,
+        stamps: Floats,
+        values: Mapping[str, Floats],
+        disturbed: Flags,
+        status: Integers | int = 0,
+        starts: Flags | bool = False,
     ) -> ImuBatch:
-        """`stamps` `(n,)`; `values` `(n, 3)` by quantity, of what the unit sends; `disturbed` `(n,)`."""
+        """`stamps` `(n,)`; `values` `(n, 3)` by quantity, of what the unit sends; `disturbed`, `status` and `starts`
+        `(n,)`: the last says where the unit itself reports a restart."""
         if not self._stamped:
             stamps = (0.0 if self._newest is None else self._newest[0]) + np.arange(1.0, 1.0 + len(stamps))
         newest, ticks = self._newest or (float(stamps[0]) - self._step, 0.0)
         steps = np.diff(stamps, prepend=newest)
         kept = steps != 0.0
         steps, count = steps[kept], int(np.count_nonzero(kept))
-        restarted: NDArray[np.bool_] = steps < 0.0
+        restarted: Flags = steps < 0.0
         if self._modulus is not None:
             steps = np.mod(steps, float(self._modulus))
             restarted = np.zeros(count, np.bool_) if self._short else steps > 0.5 * self._modulus
@@ -86,15 +92,15 @@ class SampleDecoder:
             self._newest = float(stamps[-1]), float(counts[-1])
         absent = np.full((len(stamps), 3), np.nan)
         gyro, acceleration, temperature = (values.get(name, absent)[kept] for name in QUANTITIES)
-        more = {name: of[kept] for name, of in more.items()}
-        more["restarted"] = restarted | more.get("restarted", False)
-        return imu_batch(
-            np.broadcast_to(host_time_s, len(stamps))[kept],
+        host, status, starts = (np.broadcast_to(of, len(stamps))[kept] for of in (host_time_s, status, starts))
+        return ImuBatch(
+            host,
             counts * self.resolution_s,
             gyro,
             acceleration,
             temperature,
+            status,
             gap_before=np.maximum(np.rint(steps / self._step).astype(np.int64) - 1, 0),
             disturbed=disturbed[kept] & bool(self.round_samples),
-            **more,
+            restarted=restarted | starts,
         )

@@ -14,6 +14,7 @@ from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import DriverOptions
 from gradcal_jax.hardware.drivers.operator import Console
 from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
+from gradcal_jax.hardware.interlocks import limits_of
 from gradcal_jax.hardware.journal import Recorder
 from gradcal_jax.hardware.transport import Terminal, TextLine, Transport, same_port
 from gradcal_jax.spec.rig import (
@@ -26,7 +27,7 @@ from gradcal_jax.spec.rig import (
     OperatorPlace,
     RigFile,
 )
-from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, one_of
+from gradcal_jax.tables.problems import Key, Problem, SpecError, from_validation, hint, one_of
 
 LEFT: Final = "left streaming"
 """What happens to an IMU at the end of a run: it has no unsafe state."""
@@ -80,7 +81,7 @@ def _fits(driver: type[DriverOptions] | None, role: Role) -> bool:
     return driver is not None and (driver.role == role or (driver.role is None and role != "imu"))
 
 
-def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
+def config_of(device: Device | EncoderDevice, role: Role, place: Key) -> Any:
     """The options of a device of the rig file.
 
     Raises:
@@ -105,9 +106,9 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
     return config
 
 
-def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
+def configs_of(rig: RigFile) -> dict[Key, Any]:
     """The options of all devices, by their place in the file. Raises `SpecError` with every problem."""
-    configs: dict[tuple[str | int, ...], Any] = {}
+    configs: dict[Key, Any] = {}
     problems: list[Problem] = []
     for role, place, _, device in _entries(rig):
         try:
@@ -124,7 +125,7 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     return configs
 
 
-def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
+def _entries(rig: RigFile) -> list[tuple[Role, Key, str, Device]]:
     """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber". Axes are first,
     because what turns is made safe first."""
     chamber = () if rig.chamber is None else (rig.chamber,)
@@ -152,14 +153,6 @@ class Bench(AbstractContextManager["Bench"]):
     @property
     def settings(self) -> dict[str, roles.KeptSettings]:
         return {name: device.settings for name, device in self.axes.items()}
-
-    def chamber_limits(self) -> roles.ChamberLimits | None:
-        if self.chamber is None or self.rig.chamber is None:
-            return None
-        limits, below, above = self.chamber.limits(), self.rig.chamber.never_below, self.rig.chamber.never_above
-        lowest = limits.lowest_c if below is None else max(limits.lowest_c, float(below))
-        highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
-        return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
 
     def devices(self) -> list[tuple[str, Device, Opened]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
@@ -282,7 +275,11 @@ def report_of(bench: Bench, name: str, entry: Device, device: Opened) -> DeviceR
         if isinstance(device, roles.ImuStream):
             limits = device.configure()
         else:
-            limits = bench.chamber_limits() if device is bench.chamber else device.limits()
+            limits = device.limits()
+            if isinstance(limits, roles.ChamberLimits):
+                rules = limits_of(bench.rig)
+                lowest, highest = max(limits.lowest_c, rules.never_below_c), min(limits.highest_c, rules.never_above_c)
+                limits = dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
             # Identity and limits may stand in the rig file alone: at least this is asked of the device.
             reading = device.read()
             if isinstance(reading, roles.ChamberReading):

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -45,7 +45,7 @@ class SafeOutcome:
     took_s: float = 0.0
 
 
-class RunState(Enum):
+class RunState(StrEnum):
     IDLE = "idle"
     RUNNING = "running"
     STOPPING = "stopping"
@@ -94,7 +94,7 @@ class RunProgress:
 
     def as_status(self) -> dict[str, Any]:
         """As the status file has it."""
-        return json_of({"at_s": time.time(), **asdict(self), "state": self.state.value})
+        return json_of({"at_s": time.time(), **asdict(self)})
 
 
 @contextmanager

@@ -105,7 +105,11 @@ class SampleLosses:
         began_s, ended_s = executed.began_s, executed.ended_s
         known = self._since(min(began_s, ended_s - _WINDOW_S))
         times_s = [arrival.time_s for arrival in known]
-        first, last = (known[max(bisect(times_s, time_s) - 1, 0)] for time_s in (began_s, ended_s))
+
+        def before(time_s: float) -> _Arrival:
+            return known[max(bisect(times_s, time_s) - 1, 0)]
+
+        first, last = before(began_s), before(ended_s)
         if last.restarts > first.restarts:
             return "the IMU restarted during a step"
         lost, lasted_s = last.missing - first.missing, ended_s - began_s
@@ -115,11 +119,11 @@ class SampleLosses:
         since_s = next(arrival.time_s for arrival in known if arrival.restarts == last.restarts)
         for longest_s in (lasted_s, max(lasted_s, _WINDOW_S)):
             # From the last arrival before to the first after, or to the end where nothing came any more.
-            before = known[max(bisect(times_s, max(ended_s - longest_s, since_s)) - 1, 0)]
+            begin = before(max(ended_s - longest_s, since_s))
             place = bisect_left(times_s, ended_s)
             after, last_s = (known[place], times_s[place]) if place < len(known) else (known[-1], ended_s)
-            received, span_s = after.received - before.received, last_s - before.time_s
-            count = received + after.missing - before.missing
+            received, span_s = after.received - begin.received, last_s - begin.time_s
+            count = received + after.missing - begin.missing
             late_s = count / self._sample_rate_hz - span_s
             if not -_RATE_OFF * span_s - _SLACK_S <= late_s <= _RATE_OFF * span_s + limits.latest_s:
                 rate = f"{count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"

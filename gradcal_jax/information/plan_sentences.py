@@ -12,7 +12,7 @@ from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, ImuModel, OwnTerm, Term
-from gradcal_jax.model.build import BuiltImu, build_imu
+from gradcal_jax.model.build import ROTATION, BuiltImu, build_imu
 from gradcal_jax.motion import frames
 from gradcal_jax.spec.absent import minutes_of_change
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement
@@ -75,8 +75,8 @@ def _stays(model: ImuModel, known: Posterior) -> np.ndarray:
 
 
 def unobserved_parameters(model: ImuModel, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
-    state at the beginning left out."""
+    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure, of the state
+    at the beginning, and of a lever arm in rotation (no requirement needs them) left out."""
     return [name for _, _, name in _unobserved(model, known)]
 
 
@@ -84,8 +84,9 @@ def _unobserved(model: ImuModel, known: Posterior) -> Iterator[tuple[Channel, Te
     stays = _stays(model, known)
     for _, c, term, at in model.located():
         nuisances = term.nuisances if isinstance(term, OwnTerm) else []
+        left_out = isinstance(term, Discrepancy) or term.name.startswith(ROTATION)
         for name, same in zip(term.names(), stays[at], strict=True):
-            if same and not isinstance(term, Discrepancy) and name not in nuisances:
+            if same and not left_out and name not in nuisances:
                 yield c, term, f"{c.name}.{name}"
 
 
@@ -125,8 +126,9 @@ def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
 
 
 def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
-    """What a temperature that does not return leaves of every hysteresis, and the shortest return that observes it."""
-    model, sentences = built.model, list[str]()
+    """What a temperature that does not return leaves of the hystereses, and the shortest return that observes them: one
+    sentence, or none."""
+    model, remain, back = built.model, dict[str, list[str]](), 0.0
     plays: dict[tuple[int, bool], dict[int, Hysteresis]] = {}
     for number, _, term, at in model.located():
         if isinstance(term, Hysteresis):
@@ -138,13 +140,16 @@ def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
         if after > _HARDLY_SEEN * before:
             c, first = model.channels[number], next(iter(own.values()))
             unit, factor = UNITS_OF_TERMS[first.unit.removesuffix("/K")]
-            back = 2.0 * max(widths)
-            sentences.append(
-                f"hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the "
-                f"{'scale factor' if of_scale else 'bias'} of {c.kind} {AXIS_NAMES[c.axis]}: change the temperature "
-                f"back by {back:g} K or more{minutes_of_change(built.spec, back)}"
-            )
-    return sentences
+            size = f"±{after * factor:.3g} {unit} in the {'scale factor' if of_scale else 'bias'} of"
+            remain.setdefault(size, []).append(f"{c.kind} {AXIS_NAMES[c.axis]}")
+            back = max(back, *(2.0 * width for width in widths))
+    if not remain:
+        return []
+    sizes = "; ".join(f"{size} {', '.join(channels)}" for size, channels in remain.items())
+    return [
+        f"hysteresis is not observable: {sizes} remain; change the temperature back by {back:g} K or "
+        f"more{minutes_of_change(built.spec, back)}"
+    ]
 
 
 def _fastest(built: BuiltImu) -> np.ndarray:

@@ -50,6 +50,7 @@ G_SENSITIVITY = "g_sensitivity_{}"
 SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
+ROTATION = "ww_"
 _LAGGED = 16
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
@@ -307,7 +308,7 @@ def _rotation_terms(gyro: GyroTriad) -> Iterator[ProductTerm]:
         return
     for of in combinations_with_replacement(AXIS_NAMES, 2):
         signals = tuple(f"rate {a}" for a in of)
-        yield ProductTerm(std=np.asarray(std), name=f"ww_{''.join(of)}", unit="s", signals=signals)
+        yield ProductTerm(std=np.asarray(std), name=f"{ROTATION}{''.join(of)}", unit="s", signals=signals)
 
 
 def _general_term(one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:

@@ -9,28 +9,29 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.estimation.calibrations import Box
-from gradcal_jax.information.plan_information import imu_posterior, rest_poses
+from gradcal_jax.information.plan_information import rest_poses
+from gradcal_jax.information.prediction import judged_plan
 from gradcal_jax.information.residual import residual_map
-from gradcal_jax.information.verdicts import target_of
+from gradcal_jax.information.verdicts import run_of, target_of
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.plots.residual import boxes_of, draw_curves
 from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_panels, style_of
 from gradcal_jax.spec.schedule import StandardSchedule
-from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 
 
 def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFigure | None = None) -> Figure:
     """Plans side by side, on `figure` or a new one: a panel for each requirement, with a curve for each plan and each
-    element (such as an axis), and the target of a single plan. Errors: `ValueError` without requirements."""
+    element (such as an axis), as the verdict counts it, and the target of a single plan. Errors: `ValueError` without
+    requirements."""
     found: dict[tuple[str, str], list[tuple[str, Box]]] = {}
     targets: dict[tuple[str, str], float | None] = {}
     for label, spec in specs:
-        built = build_imu(expect_spec(spec))
-        known = imu_posterior(built)
+        budget = judged_plan(spec).budget
         for requirement in spec.requirement:
             key, target = (requirement.name, requirement.quantity), target_of(requirement)
-            found.setdefault(key, []).extend(boxes_of(residual_map(built, known, requirement), label))
+            left = residual_map(budget.built, budget.judged(run_of(requirement)), requirement)
+            found.setdefault(key, []).extend(boxes_of(left, label))
             targets[key] = None if target is None or len(specs) > 1 else target / requirement.coverage
     if not found:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")

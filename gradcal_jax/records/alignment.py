@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+_LINALG: Any = np.linalg
 
 # Of the correlation: its grid, the number of offsets that are refined, and how far apart they are.
 _GRID_S, _PLACES, _APART_S = 0.5, 16, 2.0
@@ -67,17 +68,14 @@ class AngleTrack:
 
 
 class _Place(NamedTuple):
-    """A line near which the tracks agree: `u = middle + (t − offset_s) / (1 + excess)`."""
+    """A line near which the tracks agree: `u = middle + (t − offset) / (1 + excess)`."""
 
-    offset_s: float
-    excess: float
+    fit: Any
+    """The least squares of offset and excess: `x`, the weighted residuals of the turns `fun`, their slopes `jac`."""
     misfit: float
     """The fraction of the table's motion (sum of squared turns) that is missing in the recording."""
     scale: float
     """Turns of the table over those of the unit, of its only axis with their sign."""
-    rest: Floats
-    """Residuals `(turns,)` by their weights, and their slopes over offset and excess."""
-    slopes: Floats
 
 
 def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
@@ -89,8 +87,8 @@ def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
         raise NoAlignment("the run did not turn any axis of the recording")
     known = np.isfinite(rates_dps).all(axis=1)
     time_s, rates = time_s[known], rates_dps[known] - np.median(rates_dps[known], axis=0)
-    steps = np.diff(time_s)[:, None]
-    angles = np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(0.5 * steps * (rates[1:] + rates[:-1]), axis=0)])
+    integrate: Any = importlib.import_module("scipy.integrate")
+    angles = integrate.cumulative_trapezoid(rates, time_s, axis=0, initial=0.0)
     table = np.diff(track.angle_deg, prepend=track.angle_deg[0])
     speeds = (
         _on_grid(track.time_s, np.cumsum(np.abs(table))),
@@ -98,7 +96,7 @@ def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
     )
     begins_s, middle_s = float(track.time_s[0] - time_s[0]), float(0.5 * (time_s[0] + time_s[-1]))
     places = [
-        _refined(time_s, rates, angles, track, middle_s, begins_s + lag_s, outside)
+        _refined(time_s, np.hstack([angles, rates]), track, begins_s + lag_s, outside)
         for lag_s, outside in _places(*speeds)
     ]
     places.sort(key=lambda place: place.misfit)
@@ -116,20 +114,15 @@ def align(time_s: Floats, rates_dps: Floats, track: AngleTrack) -> Alignment:
             "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
             "in the column map"
         )
-    others = [place for place in places if abs(place.offset_s - best.offset_s) > _APART_S]
-    if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
-        raise NoAlignment(
-            "the recording agrees with the run at more than one start time; two of these are "
-            f"{abs(others[0].offset_s - best.offset_s):.1f} s apart: the recording must contain the first or the last "
-            "turn of the run, or turns that differ from each other"
-        )
-    alignment = _known_to(best, middle_s, track)
-    if not alignment.offset_std_s < _MOST_UNSURE_S:
-        raise NoAlignment(
-            f"the recording's clock is determined only to {alignment.offset_std_s:.2g} s: too few readings were "
-            "taken while the table turned"
-        )
-    return alignment
+    for other in places[1:]:
+        apart_s = abs(other.fit.x[0] - best.fit.x[0])
+        if apart_s > _APART_S and other.misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
+            raise NoAlignment(
+                "the recording agrees with the run at more than one start time; two of these are "
+                f"{apart_s:.1f} s apart: the recording must contain the first or the last turn of the run, or turns "
+                "that differ from each other"
+            )
+    return _known_to(best, middle_s, track)
 
 
 def _on_grid(time_s: Floats, way_deg: Floats) -> Floats:
@@ -160,65 +153,71 @@ def _places(table: Floats, sensed: Floats) -> list[tuple[float, float]]:
     return peaks[:_PLACES]
 
 
-def _refined(
-    time_s: Floats, rates: Floats, angles: Floats, track: AngleTrack, middle_s: float, lag_s: float, outside: float
-) -> _Place:
-    """The best line near an offset for the turns between consecutive readings, with a direction and a bias."""
+def _refined(time_s: Floats, path: Floats, track: AngleTrack, lag_s: float, outside: float) -> _Place:
+    """The best line near a lag of the recording for the turns between consecutive readings, with a direction and a
+    bias. `path` `(n, 2 · axes)`: the integrated rates and the rates."""
+    interpolate: Any = importlib.import_module("scipy.interpolate")
+    optimize: Any = importlib.import_module("scipy.optimize")
+    middle_s, axes = 0.5 * (time_s[0] + time_s[-1]), path.shape[1] // 2
     turned, apart = np.diff(track.angle_deg), np.diff(track.time_s)
-    offset_s, usual_s = lag_s + middle_s, float(np.median(np.diff(time_s)))
+    at = interpolate.make_interp_spline(time_s, path, k=1)
     # The angle turned across a gap is unknown.
-    part: Any = np.cumsum(np.diff(time_s, prepend=time_s[0]) > 5.0 * usual_s)
+    steps = np.diff(time_s, prepend=time_s[0])
+    part: Any = np.cumsum(steps > 5.0 * np.median(steps))
 
-    def at(times_s: Floats, values: Floats) -> Floats:
-        columns: list[Floats] = [np.interp(times_s, time_s, one) for one in values.T]
-        return np.stack(columns, axis=1)
-
-    def left(line: Floats) -> tuple[Floats, Floats, Floats, float]:
-        """Residuals of the turns, zero where they are not known, these turns, their weights, and the scale."""
+    def turns(line: Floats) -> tuple[Floats, Floats, Floats]:
+        """The columns of the turns between readings, their weights, zero where they are not known, and the solution."""
         times_s = middle_s + (track.time_s - line[0]) / (1.0 + line[1])
         row: NDArray[np.int64] = np.asarray(np.searchsorted(time_s, times_s), np.int64).clip(1, len(time_s) - 1)
         inside = (times_s >= time_s[0]) & (times_s < time_s[-1]) & (part[row - 1] == part[row])
         keep = inside[1:] & inside[:-1] & (part[row[1:]] == part[row[:-1]]) & (apart < _LONGEST_S)
-        variance: Floats = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(at(times_s, rates) ** 2, axis=1)
-        weight = 1.0 / np.sqrt(variance[1:] + variance[:-1])
-        design: Floats = np.column_stack([np.diff(at(times_s, angles), axis=0), apart]) * keep[:, None]
-        known: Floats = turned * keep
-        solution: Any = np.linalg.lstsq(design * weight[:, None], known * weight, rcond=None)[0]
-        # Of several gyros, that turn about one axis, the columns are nearly one, and hardly tell the direction.
-        seen = float(np.sum(design[:, :-1] ** 2)) or np.inf
-        scale = float(solution[0]) if rates.shape[1] == 1 else float(np.sqrt(known @ known / seen))
-        return known - design @ solution, known, weight, scale
+        values: Floats = at(times_s.clip(time_s[0], time_s[-1]))
+        variance = _NOISE_DEG**2 + _JITTER_S**2 * np.sum(values[:, axes:] ** 2, axis=1)
+        weight = keep / np.sqrt(variance[1:] + variance[:-1])
+        columns = np.column_stack([np.diff(values[:, :axes], axis=0), apart])
+        return columns, weight, _LINALG.lstsq(columns * weight[:, None], turned * weight, rcond=None)[0]
 
-    def weighted(line: Floats) -> Floats:
-        rest, _, weight, _ = left(line)
-        return rest * weight
+    def residuals(line: Floats) -> Floats:
+        columns, weight, solution = turns(line)
+        return weight * (turned - columns @ solution)
 
-    optimize: Any = importlib.import_module("scipy.optimize")
-    bounds = [offset_s - _APART_S, -_CREDIBLE], [offset_s + _APART_S, _CREDIBLE]
-    scales = [1e-2, 1e-5]
-    fit = optimize.least_squares(weighted, [offset_s, 0.0], bounds=bounds, x_scale=scales, xtol=1e-12)
-    rest, known, _, scale = left(fit.x)
-    power = float(known @ known)
-    misfit = float(rest @ rest) / power + outside if np.count_nonzero(known) > 12 and power > 0.0 else 1.0
-    return _Place(float(fit.x[0]), float(fit.x[1]), misfit, scale, fit.fun, fit.jac)
+    start = lag_s + middle_s
+    bounds = [start - _APART_S, -_CREDIBLE], [start + _APART_S, _CREDIBLE]
+    fit = optimize.least_squares(residuals, [start, 0.0], bounds=bounds, x_scale=[1e-2, 1e-5], xtol=1e-12)
+    columns, weight, solution = turns(fit.x)
+    known = weight > 0.0
+    power = float(np.sum(turned[known] ** 2))
+    # Of several gyros, that turn about one axis, the columns are nearly one, and hardly tell the direction.
+    seen = float(np.sum(columns[known, :-1] ** 2)) or np.inf
+    scale = float(solution[0]) if axes == 1 else math.sqrt(power / seen)
+    missing = float(np.sum((turned - columns @ solution)[known] ** 2))
+    misfit = missing / power + outside if np.count_nonzero(turned[known]) > 12 else 1.0
+    return _Place(fit, misfit, scale)
 
 
 def _known_to(place: _Place, middle_s: float, track: AngleTrack) -> Alignment:
-    """The alignment, and how well its line is known."""
+    """The alignment, and how well its line is known. Raises `NoAlignment` where it is not."""
     moving = np.abs(np.diff(track.angle_deg)) > _STANDS_DPS * np.diff(track.time_s)
     turn = np.cumsum(np.diff(moving, prepend=False) & moving)
-    information = place.slopes.T @ place.slopes
-    seen = np.unique(turn[np.abs(place.slopes[:, 0]) > _STANDS_DPS / _NOISE_DEG])
-    if len(seen) < _FEWEST_TURNS:
+    slopes, rest = place.fit.jac, place.fit.fun
+    turns = len(np.unique(turn[np.abs(slopes[:, 0]) > _STANDS_DPS / _NOISE_DEG]))
+    if turns < _FEWEST_TURNS:
         raise NoAlignment(
-            f"the recording shows {len(seen)} of the table's turns with readings at their beginnings and ends; at "
+            f"the recording shows {turns} of the table's turns with readings at their beginnings and ends; at "
             f"least {_FEWEST_TURNS} are needed to determine its clock"
         )
-    inverse: Any = np.linalg.inv(information)
-    each = np.stack([np.bincount(turn, place.slopes[:, k] * place.rest) for k in (0, 1)])
-    covariance = inverse @ (each @ each.T) @ inverse * len(seen) / (len(seen) - 2)
+    inverse: Floats = _LINALG.inv(slopes.T @ slopes)
+    each = np.stack([np.bincount(turn, of * rest) for of in slopes.T])
+    covariance = inverse @ (each @ each.T) @ inverse * turns / (turns - 2)
     own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    offset_std_s = math.sqrt(max(own - cross**2 / slope, 0.0))
+    if not offset_std_s < _MOST_UNSURE_S:
+        raise NoAlignment(
+            f"the recording's clock is determined only to {offset_std_s:.2g} s: too few readings were taken while the "
+            "table turned"
+        )
     # The middle that makes the errors of offset and rate independent.
-    shift_s, rate = -cross / slope, 1.0 + place.excess
-    stds = math.sqrt(max(own - cross**2 / slope, 0.0)), math.sqrt(slope)
-    return Alignment(middle_s + shift_s, place.offset_s + rate * shift_s, rate, *stds, len(seen), len(place.rest))
+    offset_s, excess = place.fit.x.tolist()
+    shift_s, rate = -cross / slope, 1.0 + excess
+    line = middle_s + shift_s, offset_s + rate * shift_s, rate
+    return Alignment(*line, offset_std_s, math.sqrt(slope), turns, len(rest))

@@ -20,7 +20,6 @@ from gradcal_jax.records.log import (
     LogError,
     Reason,
     Whole,
-    intervals_within,
     mean_interval,
     without_masked,
 )
@@ -158,7 +157,7 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         else:
             time = np.arange(columns.rows) / columns.sample_rate_hz
         time, starts = stretches(time, found)
-        interval = mean_interval(time, intervals_within(time, starts))
+        interval = mean_interval(time, starts)
         rates = {name: kept.values[name] / interval for name in columns.increments}
         kept, status = _masked(replace(kept, values=kept.values | rates), time, starts, found)
         for name, value, what in _statistics(kept, time, interval, status == 0):
@@ -203,7 +202,7 @@ def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> t
         # What is marked has no value, and lacks none.
         rows = rows & (status & Reason.MARKED.value == 0)
         if count := int(np.count_nonzero(rows)):
-            found.rows(reason.words, count, f"{counted(count)} {words}, first row {np.argmax(rows)}")
+            found.note(reason.words, f"{counted(count)} {words}, first row {np.argmax(rows)}")
             status[rows] |= reason.value
 
     mask(Reason.MARKED, columns.values.get("marked", 0.0 * time) != 0.0, "marked bad by the device")

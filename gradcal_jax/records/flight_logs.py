@@ -60,7 +60,7 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     if not (others := [name for name in logs if name != chosen.units[0]]):
         return chosen
     text = f"the log also has other IMUs: {', '.join(others)}; choose one with --unit"
-    return replace(chosen, findings=(Finding("other units", "keep", 0, text), *chosen.findings))
+    return replace(chosen, findings=(Finding("other units", text), *chosen.findings))
 
 
 def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None = None) -> list[Log]:
@@ -72,12 +72,10 @@ def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None =
     """
     path = Path(path)
     kind = path.suffix.lower()
-    if path.is_dir() or not path.exists():
-        raise LogError(f"{path} {'is a directory' if path.is_dir() else 'does not exist'}")
-    if kind in _REFUSED:
-        raise LogError(f"{path} {_REFUSED[kind]}")
-    words, reader = _READERS[kind]
     with naming(path):
+        if kind in _REFUSED:
+            raise LogError(_REFUSED[kind])
+        words, reader = _READERS[kind]
         with quietly(words):
             imus = [one for one in reader(path) if one.rows > 1]
         if not imus:

@@ -73,6 +73,20 @@ def _refuse_contradictions(table: FileTable, columns: ColumnMap) -> None:
             raise LogError(f'{question} (correct the map, or set [policy] values = "keep")')
 
 
+def elapsed(values: Any) -> Any:
+    """Stamps `(n,)` of any type since the first. Whole numbers are subtracted as such, which keeps the nanoseconds of
+    an epoch."""
+    values = values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
+    return values - values[np.flatnonzero(np.isfinite(values))[:1]].sum()
+
+
+def to_si(values: Any, unit: str, dimension: str, scale: float = 1.0) -> Floats:
+    """Numbers `(n,)`, of `scale` units each, in SI."""
+    at_zero = units.parse(f"0 {unit}", dimension)  # not 0 for degF
+    factor = units.parse(f"1 {unit}", dimension) - at_zero
+    return values.astype(np.float64) * (scale * factor) + at_zero
+
+
 def _numbers(table: FileTable, source: Source) -> Any:
     """One column, unconverted (integers stay integers)."""
     values = table.array(source)
@@ -85,21 +99,14 @@ def _in_si(table: FileTable, source: Source) -> Floats:
     """One column in SI; angles per row stay angles, and times count from the first row."""
     values = _numbers(table, source)
     with np.errstate(all="ignore"):  # absurd numbers are found and named afterwards
-        if isinstance(source, TimeColumn | ClockColumn) and len(values):
-            # Whole numbers are subtracted as such, which keeps the nanoseconds of an epoch.
-            values = values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
-            values = values - values[np.flatnonzero(np.isfinite(values))[:1]].sum()
-        values = values.astype(np.float64)
         if isinstance(source, ClockColumn):
-            return values / float(source.rate)
+            return elapsed(values) / float(source.rate)
         if isinstance(source, StatusColumn):
-            return (values != source.good).astype(np.float64)
+            return (values.astype(np.float64) != source.good).astype(np.float64)
         if not isinstance(source, Measured):
-            return values
-        at_zero = units.parse(f"0 {source.unit}", source.dimension)  # not 0 for degF
-        factor = units.parse(f"1 {source.unit}", source.dimension) - at_zero
-        zero = 0.0 if isinstance(source, TimeColumn) else source.zero
-        values = (values - zero) * (source.scale * factor) + at_zero
+            return values.astype(np.float64)
+        values = elapsed(values) if isinstance(source, TimeColumn) else values.astype(np.float64) - source.zero
+        values = to_si(values, source.unit, source.dimension, source.scale)
     if source.where is None:
         return values
     return np.where(rows_where(source.where, table.array(source.where)), values, np.nan)
@@ -111,17 +118,18 @@ def columns_in_si(table: FileTable, columns: ColumnMap, name: str) -> Columns:
     counts = {name: len(array) for name, array in values.items()}
     if len(set(counts.values())) > 1:
         raise LogError(f"columns have different numbers of rows: {', '.join(f'{k} {v}' for k, v in counts.items())}")
+    provenance = {"source": name}
+    if columns.sensor_rate is not None:
+        provenance[SENSOR_RATE] = f"{columns.sensor_rate:.9g} Hz"
     raw = Columns(
         columns.name,
         values,
-        sample_rate_hz=None if columns.sample_rate is None else float(columns.sample_rate),
-        full_scale_rad_per_s=None if columns.full_scale is None else float(columns.full_scale),
+        sample_rate_hz=columns.sample_rate,
+        full_scale_rad_per_s=columns.full_scale,
         increments=tuple(f"gyro {axis}" for axis, rate in columns.rate.items() if rate.per == "row"),
         simulated=columns.simulated,
-        provenance={"source": name},
+        provenance=provenance,
     )
-    if columns.sensor_rate is not None:
-        raw.provenance[SENSOR_RATE] = f"{float(columns.sensor_rate):.9g} Hz"
     if columns.where is not None:
         raw = raw.of_rows(rows_where(columns.where, table.array(columns.where)))
     if raw.rows < 2:

@@ -16,7 +16,7 @@ import hashlib
 import importlib
 import io
 import warnings
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum, IntFlag
 from pathlib import Path
@@ -46,11 +46,17 @@ class LogError(ValueError):
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Generator[None]:
-    """Context that adds the file's name to errors."""
+    """Context in which a file is read: adds its name to errors. Raises `LogError` where there is no file."""
     try:
+        if Path(path).is_dir():
+            raise LogError("is a directory")
+        if not Path(path).exists():
+            raise LogError("does not exist")
         yield
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager
@@ -158,35 +164,20 @@ class AngleReadings:
 
     __repr__ = summary
 
-    @classmethod
-    def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
-        """The readings of several axes or parts, in order of time."""
-        # (An empty array of the type, for no parts.)
-        arrays: dict[str, Any] = {
-            name: np.concatenate([np.zeros(0, variable.kind), *(getattr(part, name) for part in parts)])
-            for name, variable in variables_of(cls).items()
-        }
-        return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
-
     def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
         """The readings of one table axis (its index), of the `kinds` (default: all)."""
-        chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
-        return self._chosen(chosen)
+        return self.chosen((self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True))
 
-    def _chosen(self, chosen: Bools | Whole) -> "AngleReadings":
-        return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+    def chosen(self, rows: Bools) -> "AngleReadings":
+        """Some of the readings."""
+        return AngleReadings(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One kind of fault in a record, and the action taken."""
+class Finding(NamedTuple):
+    """One kind of fault in a record."""
 
     kind: str
     """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
-    done: str
-    """``mask``, ``split`` or ``keep``; with ``refuse``, an error is raised instead."""
-    count: int
-    """Number of rows concerned; for gaps, the number of gaps; 0 for faults of the record as a whole."""
     message: str
     """The fault in a sentence."""
 
@@ -272,7 +263,7 @@ class Log:
             + ", SIMULATED" * self.simulated,
             f"  with {', '.join([*self.channels(), *has])}, in {len(self.stretch_starts)} stretches",
             f"  of {self.rows_read} rows: {counts}",
-            *(f"  {finding.done}: {finding.message}" for finding in self.findings),
+            *(f"  {finding.message}" for finding in self.findings),
         ]
 
     _shown = summary_lines
@@ -316,7 +307,7 @@ class Log:
     @property
     def sample_interval_s(self) -> float:
         """Mean interval within the stretches, s; the median where no stretch has two rows."""
-        return mean_interval(self.time_s, intervals_within(self.time_s, self.stretch_starts))
+        return mean_interval(self.time_s, self.stretch_starts)
 
     def unit_index(self, unit: str | int) -> int:
         """The number of a unit given by name or number. Raises `LogError`."""
@@ -431,14 +422,8 @@ def _check_shapes(holder: Any, sizes: Mapping[str, int]) -> None:
             raise LogError(f"the {variable.name.replace('_', ' ')} has the shape {array.shape}; {words}")
 
 
-def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
-    """The intervals of stamps (s), without those between two stretches."""
+def mean_interval(time_s: Floats, stretch_starts: Whole) -> float:
+    """The mean interval of stamps within the stretches, s; the median of all where no stretch has two rows."""
     interval = np.diff(time_s)
-    inside = np.ones(len(interval), bool)
-    inside[stretch_starts[1:] - 1] = False
-    return interval[inside]
-
-
-def mean_interval(time_s: Floats, within: Floats) -> float:
-    """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
-    return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
+    within = np.delete(interval, stretch_starts[1:] - 1)
+    return float(within.mean()) if len(within) else float(np.median(interval))

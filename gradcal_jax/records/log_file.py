@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -54,7 +53,7 @@ def write_log(log: Log, path: str | Path) -> None:
         "format": FORMAT,
         "rows_read": log.rows_read,
         "rows_removed": json.dumps(dict(log.rows_removed)),
-        "findings": json.dumps([asdict(finding) for finding in log.findings], ensure_ascii=False),
+        "findings": json.dumps(log.findings, ensure_ascii=False),
         "simulated": int(log.simulated),
         "provenance": json.dumps(dict(log.provenance), ensure_ascii=False),
     }
@@ -71,14 +70,10 @@ def read_log(path: str | Path) -> Log:
     """
     path = Path(path)
     with naming(path):
-        if not path.exists():
-            raise LogError("does not exist")
         try:
             dataset = load_netcdf(path)
         except NetcdfError as error:
             raise LogError(f"cannot be read as a netCDF file: {error}") from None
-        except OSError as error:
-            raise LogError(f"cannot be read: {error.strerror or error}") from None
         version = str(dataset.attrs.get("format"))
         if version != FORMAT:
             raise LogError(f'has the format "{version}", and this program reads "{FORMAT}"')
@@ -128,7 +123,7 @@ def _from_dataset(dataset: Any) -> Log:
         readings=AngleReadings(**_arrays(dataset, AngleReadings)) if read else None,
         rows_read=int(dataset.attrs["rows_read"]),
         rows_removed={str(name): int(count) for name, count in table("rows_removed").items()},
-        findings=tuple(Finding(**item) for item in table("findings")),
+        findings=tuple(Finding(*item) for item in table("findings")),
         simulated=bool(int(dataset.attrs.get("simulated", 0))),
         provenance={printable(str(name)): printable(str(text)) for name, text in table("provenance").items()},
     )

@@ -5,22 +5,21 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from gradcal_jax.records.column_map import FORMAT, ColumnMap
-from gradcal_jax.records.examination import examine
-from gradcal_jax.records.importers import columns_in_si
-from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.table_files import FileTable
+from gradcal_jax import units as unit_of
+from gradcal_jax.records.examination import Columns, examine
+from gradcal_jax.records.importers import elapsed, to_si
+from gradcal_jax.records.log import Floats, Log, LogError
 from gradcal_jax.tables.problems import instead
 
 _SI: Final = {
-    "time": "s",
-    "rate": "rad/s",
-    "temperature": "degC",
-    "angle": "rad",
-    "force": "m/s^2",
-    "host_time": "s",
+    "time": ("s", "time"),
+    "rate": ("rad/s", "angular rate"),
+    "temperature": ("degC", "temperature"),
+    "angle": ("rad", "angle"),
+    "force": ("m/s^2", "acceleration"),
+    "host_time": ("s", "time"),
 }
-"""By argument its unit if none is stated."""
+"""By argument its unit if none is stated, and its dimension."""
 
 
 def log_from(
@@ -55,35 +54,37 @@ def log_from(
     >>> log.axes, round(1.0 / log.sample_interval_s), log.counts()
     (('x', 'y', 'z'), 100, {'used': 6000})
     """
-    stated = dict(units or {})
-    if unknown := [key for key in stated if key not in _SI]:
-        raise LogError(f"units: {unknown[0]!r}: {instead(unknown[0], _SI)}")
-    arrays = dict[str | int, Any]()
+    stated = units or {}
+    for key in stated:
+        if key not in _SI:
+            raise LogError(f"units: {key!r}: {instead(key, _SI)}")
+    count = np.asarray(time).shape
 
-    def column(kind: str, name: str, value: Any) -> dict[str, str]:
+    def in_si(kind: str, value: Any) -> Floats:
         array = np.asarray(value)
-        unit = stated.get(kind, _SI.get(kind, ""))
+        if array.shape != count:
+            raise LogError(f"{kind} has the shape {array.shape}, and the times have the shape {count}")
+        unit, dimension = _SI[kind]
+        unit = stated.get(kind, unit)
         if array.dtype.kind in "mM":
             array, unit = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), "ns"
-        arrays[name] = array
-        if array.shape != arrays["time"].shape:
-            raise LogError(f"{kind} has the shape {array.shape}, and the times have the shape {arrays['time'].shape}")
-        return {"column": name} | ({"unit": unit} if unit else {})
+        try:
+            return to_si(elapsed(array) if dimension == "time" else array, unit, dimension)
+        except (unit_of.UnitError, TypeError, ValueError) as error:
+            raise LogError(f"{kind}: {error}") from None
 
-    columns: dict[str, Any] = {"format": FORMAT, "name": sensor, "simulated": simulated}
-    others = {"time": time, "temperature": temperature, "host_time": host_time, "standstill": standstill}
-    for kind, value in others.items():
-        if value is not None:
-            columns[kind] = column(kind, kind, value)
     rates = _by_axis("rate", rate, ("x", "y", "z"))
     if not rates:
         raise LogError("rate has no axis: give at least one")
-    by_axis = {"rate": rates, "force": _by_axis("force", force, "xyz"), "angle": _by_axis("angle", angle, tuple(rates))}
-    for kind, axes in by_axis.items():
-        columns["table_angle" if kind == "angle" else kind] = {
-            axis: column(kind, f"{kind} {axis}", value) for axis, value in axes.items()
-        }
-    return examine(columns_in_si(FileTable(arrays), ColumnMap.model_validate(columns), "arrays"))
+    values = {f"gyro {axis}": in_si("rate", one) for axis, one in rates.items()}
+    values |= {f"accelerometer {axis}": in_si("force", one) for axis, one in _by_axis("force", force, "xyz").items()}
+    values |= {f"table angle {axis}": in_si("angle", one) for axis, one in _by_axis("angle", angle, [*rates]).items()}
+    for kind, value in (("time", time), ("temperature", temperature), ("host_time", host_time)):
+        if value is not None:
+            values[kind.replace("_", " ")] = in_si(kind, value)
+    if standstill is not None:
+        values["standstill"] = np.asarray(standstill, np.float64)
+    return examine(Columns(sensor, values, simulated=simulated, provenance={"source": "arrays"}))
 
 
 def _by_axis(kind: str, value: Any, labels: Sequence[str]) -> dict[str, Any]:

@@ -178,7 +178,8 @@ def _joined(
         count = part.end = count + sum(high - low for low, high in part.ranges)
     rows = compacted(rows, ranges)
     rows["standstill"] = -1
-    readings = list[tuple[AngleReadings, Floats]]()
+    # Of each reading the time since the end of its row, the row, the axis, the angle and the kind.
+    readings = [np.zeros((0, 5))]
     standing, spins = 0, True
     for part in parts:
         own, events = rows[part.first : part.end], part.session.events
@@ -198,14 +199,20 @@ def _joined(
                 standing += 1
         spins = spins and any(course.spins for course in courses)
         for k, course in enumerate(courses):
-            read_in = table_readings(course, k, host, part.sample_s + unsure_s)
-            readings.append((replace(read_in, row=read_in.row + part.first), read_in.time_s - host[read_in.row]))
+            time_s, row, angle, kind = table_readings(course, host, part.sample_s + unsure_s).T
+            since_s = time_s - host[row.astype(np.int64)]
+            readings.append(np.column_stack([since_s, row + part.first, np.full(len(row), k), angle, kind]))
             # (Only where it is kept: arrays of all rows in memory.)
             if spins:
                 own["table_rate"][:, k] = held_rates(course, host)
     _place(rows, parts)
+    since_s, row, axis, angle, kind = np.concatenate(readings).T
+    at, axis, kind = (column.astype(np.int64) for column in (row, axis, kind))
     # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
-    placed = [replace(one, time_s=rows["time_s"][one.row] + since_s) for one, since_s in readings]
+    time_s = rows["time_s"][at] + since_s
+    order = np.argsort(time_s, kind="stable")
+    none = np.full(len(at), np.nan)
+    ordered = AngleReadings(time_s[order], at[order], axis[order], angle[order], none, kind[order])
     has_forces = any(np.isfinite(rows["force"][:, k]).any() for k in range(3))
     return Log(
         time_s=rows["time_s"],
@@ -226,7 +233,7 @@ def _joined(
         simulated=any(part.session.simulated for part in parts),
         specific_force_m_per_s2=rows["force"][None] if has_forces else None,
         force_axes=("x", "y", "z") if has_forces else (),
-        readings=AngleReadings.in_order(placed) if labels else None,
+        readings=ordered if labels else None,
     )
 
 
@@ -267,32 +274,28 @@ def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
         (
             len(broken),
             "gap",
-            "split",
             f"about {missing} samples are missing at {len(broken)} places",
         ),
         (
             int(unsure_s > SETTLED_S),
             "late stamps",
-            "mask",
             f"the computer was so busy that its time stamps are accurate only to {unsure_s:.2g} s: as an additional "
             "margin, this time is left out at both ends of every standstill",
         ),
         (
             anew,
             "unit restarted",
-            "split",
             f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not "
             "counted as missing",
         ),
-        (bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram"),
+        (bad, "unreadable bytes", f"{bad} bytes belong to no valid datagram"),
         (
             sum(part.session.count("not done") for part in parts),
             "refused attempt",
-            "mask",
             "attempts at a step that the run itself did not accept are left out: see the journal for the reasons",
         ),
     )
-    return tuple(Finding(kind, done, count, message) for count, kind, done, message in found if count)
+    return tuple(Finding(kind, message) for count, kind, message in found if count)
 
 
 def _provenance(parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
@@ -352,7 +355,7 @@ def _log_of_recording(
         f"the recording's clock was determined from {by_motion.readings} readings of {by_motion.turns} turns, to "
         f"{unsure_s:.2g} s and {1e6 * clock.rate_std:.2g} ppm (1σ; delays of the table's readings are not included)"
     )
-    findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
+    findings = (*made.findings, Finding("clock determined from the motion", message))
     return replace(made, findings=findings, provenance=provenance)
 
 

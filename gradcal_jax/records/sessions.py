@@ -36,11 +36,10 @@ class SampleFile:
         columns += [("status", np.uint16), ("disturbed", np.bool_), ("restarted", np.bool_)]
         self.kind = np.dtype(columns)
         self._folder = folder
-        self._count = 0
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
 
     def __len__(self) -> int:
-        return self._count
+        return self._file.tell() // self.kind.itemsize
 
     def push(self, batch: ImuBatch) -> None:
         """The samples of a batch."""
@@ -63,14 +62,11 @@ class SampleFile:
             self._file.flush()
         except OSError as problem:
             raise type(problem)(problem.errno, problem.strerror, str(self._folder)) from None
-        self._count += len(rows)
 
     def rows(self) -> Rows:
         """All samples, at the end; what is assigned to them is in the file, which goes with them."""
         with self._file:
-            if not self._count:
-                return np.zeros(0, self.kind)
-            return np.memmap(self._file, self.kind, "r+", shape=(self._count,))
+            return np.memmap(self._file, self.kind, "r+") if len(self) else np.zeros(0, self.kind)
 
 
 def compacted(rows: Rows, ranges: Sequence[tuple[int, int]]) -> Rows:

@@ -40,30 +40,13 @@ _JUMP_K, _JUMPED = 5.0, 0.2
 _WINDOW, _OFF = 64, 0.02
 # Kurtosis below which values are unlike noise: that of a uniform distribution is 1.8, of noise 3.
 _FLAT: Final = 2.2
-# A step across the range over the largest value; rows over which the slopes beside it are measured.
-_ACROSS, _SLOPES = 1.5, (5, 20, 80)
 _SHOWN: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
 
 
-class Runs(NamedTuple):
-    """Equal values in succession: the first row, the number of rows and the value of each run."""
-
-    begin: Whole
-    length: Whole
-    value: Floats
-
-    @classmethod
-    def of(cls, values: Floats, starts: Whole | None = None) -> "Runs":
-        """The runs of values `(n,)`; a new one begins at `starts`."""
-        changes = np.diff(values, prepend=np.nan) != 0.0
-        if starts is not None:
-            changes[starts] = True
-        begin = np.flatnonzero(changes)
-        return cls(begin, np.diff(begin, append=len(values)), values[begin])
-
-    def rows(self, chosen: Bools) -> Bools:
-        """`(n,)`: whether a row is in one of the `chosen` runs."""
-        return np.repeat(chosen, self.length)
+def _runs(values: Floats) -> tuple[Whole, Floats]:
+    """Equal values in succession: the length and the value of each run."""
+    begin = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    return np.diff(begin, append=len(values)), values[begin]
 
 
 class StepSizes(NamedTuple):
@@ -116,56 +99,30 @@ def coarse_steps(values: Floats) -> StepSizes:
 
 def at_a_limit(values: Floats) -> Bools:
     """`(n,)`: rows at the largest or smallest value of a channel of fine steps, where it is held again and again."""
-    runs = Runs.of(values)
     known = values[np.isfinite(values)]
-    at = np.zeros(len(runs.value), bool)
-    for extreme in (known.max(), known.min()) if len(known) else ():
-        there = runs.value == extreme
-        held = np.count_nonzero(there & (runs.length >= _HELD))
-        middle = np.median(known)
-        far = abs(extreme - middle) > 20.0 * np.median(np.abs(known - middle)) > 0.0
+    if not len(known) or coarse_steps(values).off > 0.0:
+        return np.zeros(len(values), bool)
+    length, value = _runs(values)
+    middle = np.median(known)
+    spread = np.median(np.abs(known - middle))
+    at = np.zeros(len(value), bool)
+    for extreme in (known.max(), known.min()):
+        there = value == extreme
+        held = np.count_nonzero(there & (length >= _HELD))
+        far = abs(extreme - middle) > 20.0 * spread > 0.0
         # (One long run alone is frozen.)
-        if held and (far or (held > 1 and np.sum(runs.length[there]) >= _AT_LIMIT)):
+        if held and (far or (held > 1 and length[there].sum() >= _AT_LIMIT)):
             at |= there
-    return runs.rows(at if at.any() and coarse_steps(values).off == 0.0 else np.zeros(len(at), bool))
+    return np.repeat(at, length)
 
 
 def standing_still(values: Floats) -> Bools:
     """`(n,)`: rows of a channel of fine steps that keep one value for far longer than is usual in it."""
-    runs = Runs.of(values)
-    if len(values) < 2 * _FROZEN or len(runs.length) < 2 or coarse_steps(values).off > 0.0:
+    length, value = _runs(values)
+    if len(values) < 2 * _FROZEN or len(length) < 2 or coarse_steps(values).off > 0.0:
         return np.zeros(len(values), bool)
-    long = runs.length > max(float(_FROZEN), _UNUSUAL * float(np.quantile(runs.length, 0.9)))
-    return runs.rows(long & np.isfinite(runs.value))
-
-
-def wrapped(values: Floats) -> Bools:
-    """`(n,)`: rows whose value left the range of its format at one end and came in at the other, as integers do.
-
-    They lie between two steps across the range, there and back; on both sides of each the values change against the
-    step. A table that reverses its direction within a row does not look so.
-    """
-    result = np.zeros(len(values), bool)
-    step = np.diff(values)
-    bends = np.abs(np.diff(step))
-    if not np.isfinite(bends).any():
-        return result
-    far = np.abs(step) > _ACROSS * float(np.nanmax(np.abs(values)))
-    least = 6.0 * float(np.nanmedian(bends))
-    within = np.where(far, 0.0, step)
-
-    def against(at: int, first: int, rows: int) -> bool:
-        """Whether the values change against the step `at` a row, in so many `rows`."""
-        return bool(-np.sign(step[at]) * np.sum(within[max(first, 0) : first + rows]) > least)
-
-    for out, back in itertools.pairwise(np.flatnonzero(far).tolist()):
-        for rows in _SLOPES if step[out] * step[back] < 0.0 and not result[out] else ():
-            beside = against(out, out - rows, rows) and against(back, back + 1, rows)
-            # (Else it lasts too short a time to have slopes.)
-            lasts = back - out > 2 * rows
-            if beside and (not lasts or (against(out, out + 1, rows) and against(back, back - rows, rows))):
-                result[out + 1 : back + 1] = True
-    return result
+    long = length > max(float(_FROZEN), _UNUSUAL * float(np.quantile(length, 0.9)))
+    return np.repeat(long & np.isfinite(value), length)
 
 
 def outliers(values: Floats, standing: Whole | None) -> Bools:
@@ -191,7 +148,9 @@ def outliers(values: Floats, standing: Whole | None) -> Bools:
         far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
     else:
         crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
-        far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
+        # At the ends of a standstill a table may still settle.
+        inside = ndimage.minimum_filter1d((standing >= 0).astype(int), 2 * _SETTLING + 1, mode="constant")
+        far &= (crowd < _PAIR + 0.5) & (inside[known] > 0)
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -208,33 +167,29 @@ def _local_noise(apart: Floats, ndimage: Any) -> Floats:
     return np.where(noise > 0.0, noise, np.inf)
 
 
-def _inside(standing: Whole) -> Bools:
-    """`(n,)`: rows of a standstill, away from its ends, where a table may still settle."""
-    inside = np.zeros(len(standing), bool)
-    for start, stop in formulas.runs(standing >= 0).tolist():
-        inside[start + _SETTLING : max(stop - _SETTLING, start + _SETTLING)] = True
-    return inside
-
-
 def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
     """`(n,)`: rows whose temperature keeps one value for far longer than is usual and then jumps; all, if it never
     changes. `starts`: rows at which stretches begin, over which it changes by itself."""
     known = np.isfinite(values)
     if not known.any() or np.ptp(values[known]) == 0.0:
         return known & (time_s[-1] - time_s[0] > _FROZEN_S)
-    runs = Runs.of(values, starts)
-    finite = np.isfinite(runs.value)
-    end = np.minimum(runs.begin + runs.length, len(time_s) - 1)
-    lasting = time_s[end] - time_s[runs.begin]
+    changes = np.diff(values, prepend=np.nan) != 0.0
+    changes[starts] = True
+    edges = np.append(np.flatnonzero(changes), len(values))
+    begin, length = edges[:-1], np.diff(edges)
+    finite = known[begin]
+    lasting = np.diff(time_s[edges.clip(max=len(time_s) - 1)])
     usual = float(np.median(lasting[finite]))
-    jump = np.abs(np.diff(runs.value))
+    jump = np.abs(np.diff(values[begin]))
     step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
+    jump[np.isin(begin[1:], starts)] = 0.0
     # Behind the last run nothing is: only a thermometer of fine steps, most of whose runs are short, must have moved
     # on.
-    short = lasting[:-1][lasting[:-1] <= _UNUSUAL * usual]
-    fine = usual < 5.0 * float(np.median(np.diff(time_s))) and np.sum(short) > 0.5 * np.sum(lasting[:-1])
-    after = np.append(np.where(np.isin(runs.begin[1:], starts), 0.0, jump), np.inf if fine else 0.0)
-    return runs.rows(finite & (lasting > max(_FROZEN_S, _UNUSUAL * usual)) & (after > 4.0 * step))
+    before = lasting[:-1]
+    short = before <= _UNUSUAL * usual
+    fine = usual < 5.0 * float(np.median(np.diff(time_s))) and before[short].sum() > 0.5 * before.sum()
+    after = np.append(jump, np.inf if fine else 0.0)
+    return np.repeat(finite & (lasting > max(_FROZEN_S, _UNUSUAL * usual)) & (after > 4.0 * step), length)
 
 
 def jumped_temperature(values: Floats, starts: Whole) -> Bools:
@@ -243,21 +198,21 @@ def jumped_temperature(values: Floats, starts: Whole) -> Bools:
     result = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
     own = values[known]
-    cut = np.abs(np.diff(own)) > _JUMP_K
-    if not cut.any():
+    jumps = np.abs(np.diff(own)) > _JUMP_K
+    if not jumps.any():
         return result
-    pieces = np.split(np.arange(len(own)), np.flatnonzero(cut | np.isin(known[1:], starts)) + 1)
+    anew = np.isin(known, starts)
+    pieces = np.split(np.arange(len(own)), np.flatnonzero(jumps | anew[1:]) + 1)
     longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece on, forward and back, a piece that begins near where the last good one ended is good.
     for order, near, far in ((pieces[longest:], 0, -1), (pieces[longest::-1], -1, 0)):
         good = own[order[0][far]]
         for before, piece in itertools.pairwise(order):
-            behind_gap = known[max(piece[0], before[0])] in starts
-            if behind_gap or abs(own[piece[near]] - good) <= _JUMP_K:
+            if anew[max(piece[0], before[0])] or abs(own[piece[near]] - good) <= _JUMP_K:
                 good = own[piece[far]]
             else:
                 result[known[piece]] = True
-    return result if np.mean(result) < _JUMPED else np.zeros(len(values), bool)
+    return result & (np.mean(result) < _JUMPED)
 
 
 def refuse_unlike_noise(where: str, values: Floats) -> list[str]:
@@ -341,8 +296,9 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
                 f"{log.time_s[last - 1]:.6g} s"
             )
 
-    wanted = {name: of for name, of in log.channels(number).items() if channels is None or name in channels}
-    for where, values in wanted.items():
+    for where, values in log.channels(number).items():
+        if channels is not None and where not in channels:
+            continue
         shown, size = _SHOWN[where.split()[0]]
         own = np.where(usable, values, np.nan)
         if (steps := coarse_steps(own)).off:
@@ -351,7 +307,7 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
                 f"values may be wrong by {steps.off / size:.2g} {shown}, however long they are averaged; log more "
                 "digits, or use a smaller full scale"
             )
-        limit = at_a_limit(own) | wrapped(own)
+        limit = at_a_limit(own)
         largest = float(np.max(np.abs(own[limit]), initial=0.0)) / size
         words = f"{where} is saturated, at {largest:.4g} {shown} (with all of the moves and standstills concerned)"
         mask(Reason.SATURATED, _whole_segments(log.standstill, limit), words)
@@ -371,33 +327,31 @@ def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: 
     return found
 
 
-def _gaps(log: Log) -> tuple[Whole, list[str]]:
-    """Rows behind gaps that a log does not mark, and a sentence on these."""
-    interval = np.diff(log.time_s)
-    usual = float(np.median(interval))
-    gaps = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
-    new = np.setdiff1d(gaps, log.stretch_starts).astype(np.int64)
-    if not len(new):
-        return new, []
-    lost = np.sum(interval[new - 1] / usual - 1.0)
-    longest, first = np.max(interval[new - 1]), log.time_s[new[0] - 1]
-    words = f"{len(new)} without a mark, with about {lost:.0f} samples lost, the longest {longest:.3g} s, the first"
-    return new, [f"gaps: {words} at {first:.6g} s; moves during the gaps are left out"]
-
-
 def without_faults(
     log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
 ) -> tuple[Log, dict[str, SignalFaults]]:
     """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, with stretches that
     begin behind gaps, and by unit what was found. `at_rest`: of a record in which everything that is not marked as
     moving stands still."""
-    gaps, sentences = _gaps(log)
-    log = replace(log, stretch_starts=np.union1d(log.stretch_starts, gaps)) if len(gaps) else log
+    interval = np.diff(log.time_s)
+    usual = float(np.median(interval))
+    long = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
+    gaps = np.setdiff1d(long, log.stretch_starts)
+    sentences = list[str]()
+    if len(gaps):
+        log = replace(log, stretch_starts=np.union1d(log.stretch_starts, gaps))
+        missing = interval[gaps - 1]
+        sentences.append(
+            f"gaps: {len(gaps)} without a mark, with about {np.sum(missing / usual - 1.0):.0f} samples lost, the "
+            f"longest {missing.max():.3g} s, the first at {log.time_s[gaps[0] - 1]:.6g} s; moves during the gaps are "
+            "left out"
+        )
     found = {name: _faults_of(log, number, channels, at_rest) for number, name in enumerate(log.units)}
+    status = np.stack([one.status for one in found.values()])
     for faults in found.values():
         faults.sentences[:0] = sentences
-    status = np.stack([one.status for one in found.values()])
-    status |= 0 if log.status is None else log.status
+    if log.status is not None:
+        status |= log.status
     return without_masked(replace(log, status=status)) if status.any() else log, found
 
 

@@ -58,13 +58,9 @@ class Findings(list[Finding]):
         self._policy = policy
         self.removed = dict[str, int]()
 
-    def rows(self, kind: str, count: int, message: str, done: str = "mask") -> None:
-        """Rows that are left out."""
-        self.append(Finding(kind, done, count, message))
-
     def note(self, kind: str, message: str) -> None:
-        """What is kept."""
-        self.append(Finding(kind, "keep", 0, message))
+        """What was removed or masked, or is kept."""
+        self.append(Finding(kind, message))
 
     def question(self, kind: str, message: str) -> None:
         """What needs an answer: an error, unless the policy keeps values as they are."""
@@ -114,7 +110,7 @@ def rows_in_order(time: Floats, found: Findings, rows_before: int = 0) -> Whole:
     ):
         if len(rows):
             found.removed[kind] = len(rows)
-            found.rows(kind, len(rows), f"{counted(len(rows))} {words}, first row {rows.min()}")
+            found.note(kind, f"{counted(len(rows))} {words}, first row {rows.min()}")
     count = np.count_nonzero(kept)
     if count < 2:
         raise LogError(f"of {len(time)} rows, only {count} have a later time stamp than all earlier rows")
@@ -213,13 +209,11 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
             '[policy] values = "keep", which takes the longer intervals as gaps',
         )
     if count := len(gaps):
-        found.rows(
+        found.note(
             "gap",
-            count,
             f"{count} gap{'s' if count > 1 else ''} with about {min(float(np.sum(longer - 1.0)), 2.0**62):.0f} samples "
             f"dropped, the longest {interval[gaps].max():.3g} s, the first after row {gaps[0]} of the rows that were "
             "kept",
-            "split",
         )
     return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
 
@@ -273,10 +267,8 @@ def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
     ndimage: Any = importlib.import_module("scipy.ndimage")
     width = 2 * (_BURSTS * len(time) // len(suspects) // 2) + 1
     slow: Floats = ndimage.uniform_filter1d(time - line, width, mode="nearest")
-    for even in (line, line + slow):
-        if np.ptp(time - even) <= _WITHIN * longest and np.all(np.diff(even) > 0.0):
-            return even
-    return None
+    even = line + slow
+    return even if np.ptp(time - even) <= _WITHIN * longest and np.all(np.diff(even) > 0.0) else None
 
 
 def _are_arrivals(time: Floats, even: Floats, usual: float) -> bool:
@@ -301,10 +293,9 @@ def _repeat_a_pattern(time: Floats) -> bool:
     in_bursts = np.mean(apart < 0.25) > _SHORT
     if len(interval) < 5 * _MANY or in_bursts or high < _GAP * low or _in_whole_milliseconds(time, float(low)):
         return False
-    power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * len(apart))) ** 2
-    alike = np.fft.irfft(power)[: min(_PATTERN, len(apart) // 4)]
+    alike = [np.corrcoef(apart[:-lag], apart[lag:])[0, 1] for lag in range(2, min(_PATTERN, len(apart) // 4))]
     # (Where the rate changes within the record, all are alike.)
-    return bool(np.max(alike[2:]) - np.median(alike[2:]) > _REPEATS * alike[0])
+    return bool(np.max(alike) - np.median(alike) > _REPEATS)
 
 
 def _are_losses(time: Floats, intervals: Floats, removed: bool) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import breaks_off
-from gradcal_jax.records.log import AngleReadings, ReadingKind
+from gradcal_jax.records.log import ReadingKind
 
 # Not "stopped": what stood stands on, and what moved was told to.
 MOVE_COMMANDS: Final = ("move", "homing")
@@ -115,8 +115,8 @@ def standstills(courses: Sequence[AxisCourse], latest_s: float) -> list[tuple[fl
     return [(float(times[k]), float(times[k + 1])) for k in first.tolist() if times[k + 1] > times[k]]
 
 
-def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float) -> AngleReadings:
-    """The readings of an axis, `number` of the log's, at the times `host` of its rows.
+def table_readings(course: AxisCourse, host: Floats, late_s: float) -> Floats:
+    """The readings of an axis, at the times `host` of its rows: `(readings, 4)` times, rows, angles (rad) and kinds.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
     nearest to the reading's time in between, without `late_s` and the margins of a standstill.
@@ -150,9 +150,7 @@ def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float)
             row = min(bisect_left(host, max(held.readings[-1].time_s, begin_s)), len(host) - 1)
             at_s = float(host[row]) + 2.0 * SETTLED_S
             add(held.readings[-1], at_s, end_s - at_s, next_row=True)
-    times, at, angles, kinds = np.array(rows).reshape(-1, 4).T
-    whole, none = np.int64, np.full(len(rows), np.nan)
-    return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
+    return np.array(rows, np.float64).reshape(-1, 4)
 
 
 def held_rates(course: AxisCourse, times_s: Floats) -> Floats:

@@ -98,17 +98,12 @@ def read_table(path: Path, columns: ColumnMap) -> FileTable:
                 f'.to_csv("{path.stem}.csv", index=False)'
             )
         raise LogError(words)
-    if path.is_dir() or not path.exists():
-        raise LogError(f"{path} {'is a directory' if path.is_dir() else 'does not exist'}")
     with naming(path):
-        try:
-            if path.stat().st_size == 0:
-                raise LogError("is empty")
-            if kind in _TEXT:
-                return _read_text(path, columns)
-            return FileTable(_READERS[kind](path, {one.column for one in (*columns.sources(), *columns.wheres())}))
-        except OSError as error:
-            raise LogError(f"cannot be read: {error.strerror or error}") from None
+        if path.stat().st_size == 0:
+            raise LogError("is empty")
+        if kind in _TEXT:
+            return _read_text(path, columns)
+        return FileTable(_READERS[kind](path, {one.column for one in (*columns.sources(), *columns.wheres())}))
 
 
 class _Lines:

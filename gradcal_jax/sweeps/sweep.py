@@ -103,7 +103,7 @@ def evaluate(do: str, base: str, changes: Mapping[str, object]) -> Record:
         record |= {name: getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
         for k, row in enumerate(requirement_rows(spec)):
             values = {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
-            record |= values | {f"{k} verdict": row.verdict or ""}
+            record |= values | {f"{k} residual": row.judged, f"{k} verdict": row.verdict or ""}
         return record
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
@@ -256,8 +256,9 @@ def variable_name(text: str) -> str:
 
 
 def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xarray.Dataset:
-    """The results over the axes. Requirements give `<name>_<statistic>` (1σ; NaN: no result, or not observable) and
-    `<name>_verdict`; `failure` says why a point has no result."""
+    """The results over the axes. Requirements give `<name>_residual`, as `gradcal predict` prints it, by the terms of
+    the file alone `<name>_<statistic>` (1σ; NaN: no result, or not observable), and `<name>_verdict`; `failure` says
+    why a point has no result."""
     dims = tuple(variable_name(axis.label) for axis in job.file.axis)
     coordinates, variables = dict[str, Any](), dict[str, Any]()
     for axis, name in zip(job.file.axis, dims, strict=True):
@@ -278,11 +279,17 @@ def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xar
         name, quantity = variable_name(requirement.name), requirement.quantity
         name = f"{name}_{k}" if f"{name}_verdict" in variables else name
         same = {"units": UNIT_OF[quantity][0], "requirement": requirement.name, "verdict": f"{name}_verdict"}
+        what = f"{requirement.name}: residual {quantity.replace('_', ' ')}, 1 sigma"
+        judged = {
+            "statistic": requirement.statistic,
+            "decisive": "yes",
+            "long_name": f"{what}, as the verdict counts it",
+        }
+        add(f"{name}_residual", f"{k} residual", **same, **judged)
         for statistic in STATISTICS:
             if statistic != "mean of max" or quantity == "gyro_scale_factor":
-                what = f"{requirement.name}: {statistic} of the residual {quantity.replace('_', ' ')}, 1 sigma"
-                own = {"statistic": statistic, "decisive": "yes" if statistic == requirement.statistic else "no"}
-                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own, long_name=what)
+                own = {"statistic": statistic, "long_name": f"{what}, {statistic}, by the terms of the file alone"}
+                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own)
         add(f"{name}_verdict", f"{k} verdict", long_name=f"{requirement.name}: verdict, if there is a target")
     for key, (unit, what) in _VARIABLES.items():
         if any(key in record for record in records):

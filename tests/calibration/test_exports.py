@@ -176,7 +176,7 @@ def test_what_follows_the_path_of_the_temperature_is_counted_or_named():
     behind = term_values(of_bias, T[:-10] + 2.0) - term_values(of_bias, T[:-10])
     for target in set(FORMATS) - {"template"}:
         done = export(calibration, target, temperature_c=25.0)
-        assert "gyro y hysteresis 10K, 1e-05 rad/s/K, is lost" in done.notes
+        assert "gyro y hysteresis 10K, 1e-05 rad/s/K: the target has no place for it" in done.notes
     # The lag and the term in dT/dt together, at the worst temperature.
     one = next(one for one in export(calibration, "c-header").losses if one.what == "while the temperature changes")
     assert (one.channel, one.unit) == ("gyro x", "deg/h at 1 K/min")

@@ -82,7 +82,7 @@ def test_check_says_what_cannot_be_observed(spec, capsys):
     rest, _, turn, *_ = moves.strip().splitlines()
     spec.write_text(f"{head}moves = [\n{rest}\n{turn}\n]\n", encoding="utf-8")
     assert main(["check", str(spec)]) == 0
-    assert "cannot be observed: " in capsys.readouterr().out
+    assert "note: the plan cannot observe " in capsys.readouterr().out
 
 
 def test_a_terminal_of_few_letters_gets_no_traceback(spec):

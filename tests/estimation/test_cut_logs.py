@@ -19,7 +19,7 @@ def cut(log: Log, share: float) -> Log:
         rate_rad_per_s=log.rate_rad_per_s[:, :end],
         temperature_c=log.temperature_c[:, :end],
         standstill=log.standstill[:end],
-        readings=log.readings._chosen(log.readings.row < end),
+        readings=log.readings.chosen(log.readings.row < end),
         rows_read=end,
     )
 

@@ -47,8 +47,8 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
     p = made.truth["x"].shape[1]
     low, high = nees_band(len(squares), p)
     assert low < np.mean(squares) / p < high
-    fits = np.array([c.consistency.fit.statistic / c.consistency.fit.degrees for c in channels])
-    low, high = nees_band(len(fits), channels[0].consistency.fit.degrees)
+    fits = np.array([c.solution.test.statistic / c.solution.test.degrees for c in channels])
+    low, high = nees_band(len(fits), channels[0].solution.test.degrees)
     assert low < fits.mean() < high
     for channel in channels:
         assert sum(channel.counts.values()) == made.log.rows_read
@@ -164,7 +164,7 @@ def test_a_lag_of_the_temperature_is_found():
     assert channel.lag.seconds == pytest.approx(lag, abs=max(5 * channel.lag.std, 2.0))
     assert channel.lag.std < 5.0
     (without,) = estimated(spec, replace(log, temperature_c=ahead), options=Options(lag=0.0))
-    assert without.consistency.fit.statistic > channel.consistency.fit.statistic + 100.0
+    assert without.solution.test.statistic > channel.solution.test.statistic + 100.0
 
 
 @pytest.mark.long

@@ -116,8 +116,8 @@ def test_steps_of_the_jig_give_the_scale_factor(run, axis, told, scale):
     assert 5e-4 < std < 1.5e-3
     assert value == pytest.approx(scale, abs=2.0 * std)
     assert value == pytest.approx(1.0013, abs=1e-3)
-    assert 0.7 < channel.consistency.noise_scale < 1.4
-    assert channel.tests.get("heating against cooling", channel.consistency.fit).passed
+    assert 0.7 < channel.solution.noise_scale < 1.4
+    assert channel.tests.get("heating against cooling", channel.solution.test).passed
     assert sum(channel.counts.values()) == log.rows_read
     assert not log.simulated
     assert not report.calibrations[0].simulated
@@ -133,4 +133,4 @@ def test_rate_runs_agree_with_one_another():
     assert np.all(np.abs(values - values.mean()) < 2.0 * deviations)
     for channel in result:
         assert np.count_nonzero(channel.solution.used) >= 7
-        assert channel.consistency.noise_scale < 2.0
+        assert channel.solution.noise_scale < 2.0

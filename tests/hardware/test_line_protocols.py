@@ -20,7 +20,7 @@ from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.description import described, protocol_text, shipped
-from gradcal_jax.hardware.drivers.lines import Codec, LinesConfig
+from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.listening import TextUnitConfig
 from gradcal_jax.hardware.drivers.registers import Modbus, write_body
 from gradcal_jax.hardware.errors import Rejected
@@ -90,7 +90,7 @@ TOLD = {
 @pytest.mark.parametrize("name", ASKED)
 def test_golden_messages(name):
     said = described(LineProtocol, name)
-    codec = Codec(said)
+    codec = said.line
     for question, (sent, received, values) in ASKED[name].items():
         asked = said.ask[question]
         assert codec.message(asked.send, bare=asked.bare) == sent
@@ -105,7 +105,7 @@ def test_golden_messages(name):
 
 
 def test_what_is_a_reply_of_an_espec_and_what_is_not():
-    codec = Codec(LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described)
+    codec = LinesConfig(protocol="espec", changes={"line": {"prefix": "1,"}}).described.line
     assert codec.message("MON?") == b"1,MON?\r\n"
     pattern = reply_pattern(described(LineProtocol, "espec").ask["temperature"].reply[0])
     # Of an old controller: whole degrees, and blanks after commas.
@@ -160,7 +160,7 @@ def test_no_bytes_make_a_message_of_modbus_raise(anything):
 
 
 def test_no_bit_of_a_checked_message_may_be_wrong():
-    codec, framed = Codec(described(LineProtocol, "cts")), ASKED["cts"]["temperature"][1]
+    codec, framed = described(LineProtocol, "cts").line, ASKED["cts"]["temperature"][1]
     frames = [
         (MODBUS_25, 8, lambda frame: RTU.reply(frame, READ)),
         (WRITE_25, 8, lambda frame: RTU.reply(frame, SETS_25)),

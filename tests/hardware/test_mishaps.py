@@ -35,8 +35,7 @@ from gradcal_jax.hardware import journal, supervision
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.listening import TextUnitConfig
-from gradcal_jax.hardware.execute import limits_of
-from gradcal_jax.hardware.interlocks import InterlockLimits
+from gradcal_jax.hardware.interlocks import InterlockLimits, limits_of
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.supervision import read_status
@@ -162,8 +161,8 @@ def test_limits_of_the_rig_file_reach_the_run():
 AXIS = {"name": "a", "driver": "lines", "port": "COM1", "safe": "unpower", "gravity_loaded": False}
 UNTOLD = {"changes": {"tell": {"on": False, "off": False}}}
 WITHOUT = {
-    "no [tell] on and off": chamber_alone("watlow-f4", driver="registers", options=UNTOLD),
-    "lacks [tell.off]": rig_of({"format": "gradcal-rig/1", "axis": [AXIS | {"options": {"protocol": "grbl"}}]}),
+    "chamber.safe": chamber_alone("watlow-f4", driver="registers", options=UNTOLD),
+    "axis[0].safe": rig_of({"format": "gradcal-rig/1", "axis": [AXIS | {"options": {"protocol": "grbl"}}]}),
 }
 
 
@@ -172,7 +171,7 @@ def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(words
     # Not that nobody answers: nobody is asked.
     assert gradcal_run(tmp_path, WITHOUT[words], "-o", str(tmp_path / "run"), "--yes") == 2
     said = capsys.readouterr().err
-    assert "this device does not support this safe state" in said
+    assert "this device does not support this safe state: its description lacks [tell.off]" in said
     assert words in said
     assert not (tmp_path / "run").exists()
 

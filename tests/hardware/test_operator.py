@@ -23,7 +23,7 @@ from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedHand, SimulatedPerson
+from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 from gradcal_jax.hardware.transport import Terminal
@@ -46,8 +46,8 @@ ASKS = "let it come to rest and type the angle that its scale shows: "
 class Person(SimulatedPerson):
     """Types `types(number, text)` in place of its answer of that number."""
 
-    def __init__(self, clock, plant, hand, types):
-        super().__init__(clock, {"x": plant}, hand)
+    def __init__(self, clock, plant, types, **hand):
+        super().__init__(clock, {"x": plant}, **hand)
         self.heard, self.typed, self._types = [], [], types
 
     def ask(self, question):
@@ -65,9 +65,9 @@ class Person(SimulatedPerson):
         return self.typed[-1], answer[1]
 
 
-def gimbal(clock, hand=None, types=lambda number, text: text, **config):
+def gimbal(clock, types=lambda number, text: text, hand=None, **config):
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.01), clock.now())
-    person = Person(clock, plant, hand or SimulatedHand(), types)
+    person = Person(clock, plant, types, **(hand or {}))
     return operator.OperatorAxis(person, operator.OperatorConfig(**config), clock, "x"), person, plant
 
 
@@ -105,7 +105,7 @@ def test_a_person_turns_and_types_what_the_dial_shows():
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more():
     clock = VirtualClock()
     slips = lambda number, text: text if number % 2 else text.replace(".", ",").replace("0", "o")  # noqa: E731
-    axis, person, plant = gimbal(clock, SimulatedHand(3), slips)
+    axis, person, plant = gimbal(clock, slips, {"seed": 3})
     axis.home()
     settled(axis, clock)
     for goal in (90.0, 180.0, 270.0):
@@ -113,7 +113,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
         assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
     assert any("," in typed for typed in person.typed)
     assert any("is not understood" in heard for heard in person.heard)
-    axis, person, plant = gimbal(clock, SimulatedHand(miss_deg=0.001))
+    axis, person, plant = gimbal(clock, hand={"miss_deg": 0.001})
     axis.home()
     settled(axis, clock)
     axis.move_to(90.0, 30.0, 10.0)
@@ -172,7 +172,7 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone():
         # The encoder's zero lies two turns away from where the gimbal's mark is.
         plant = board.plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
         plant.set_zero(clock.now(), 720.0)
-        person = SimulatedPerson(clock, {"x": plant}, SimulatedHand())
+        person = SimulatedPerson(clock, {"x": plant})
         axis = operator.OperatorAxis(person, operator.OperatorConfig(), clock, "x", encoder)
         axis.home()
         while axis.read().moving:

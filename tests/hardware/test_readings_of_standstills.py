@@ -114,7 +114,7 @@ def test_readings_that_were_not_made_are_not_counted(ran):
     _, first = np.unique(np.stack([read.axis, log.standstill[read.row]]), axis=1, return_index=True)
     kept = (read.kind != ReadingKind.PLANNED) | (log.standstill[read.row] < 0)
     kept[first] = True
-    fewer = replace(log, readings=read._chosen(kept))
+    fewer = replace(log, readings=read.chosen(kept))
     half = executed(fewer, built)
     made = [np.sum(of[:, 0]) for of in (whole.averaged[0], half.averaged[0])]
     assert made[1] < 0.65 * made[0]

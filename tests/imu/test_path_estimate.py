@@ -44,7 +44,7 @@ def test_a_loop_that_the_spec_lacks_is_said():
 def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_path):
     """Not perfect: relays of tens of deg/h are no plays, and the drift is half a deg/h."""
     report, without = estimated()[0], estimated(plays=False)[0]
-    assert report.consistency.noise_scale < 0.5 * without.consistency.noise_scale
+    assert report.solution.noise_scale < 0.5 * without.solution.noise_scale
     path = report.calibration.path
     assert [(one.channel, one.width) for one in path if one.width is not None] == [
         (f"gyro_{axis}", width) for axis in "xyz" for width in WIDTHS

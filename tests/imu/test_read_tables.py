@@ -33,9 +33,9 @@ def test_a_unit_is_estimated_within_its_covariance_and_as_predicted(plan):
     for seed in (11, 12, 13):
         report, truth = estimated(spec, seed, punctual=True)
         total, size = total + squared(report, truth), size + report.built.model.size
-        assert 1e-3 < report.consistency.fit.probability < 1.0 - 1e-3
+        assert 1e-3 < report.solution.test.probability < 1.0 - 1e-3
         # A row of each gyro for every reading of each axis.
-        assert report.consistency.fit.degrees > 2000
+        assert report.solution.test.degrees > 2000
     assert 1e-3 < chi2.sf(total, size) < 1.0 - 1e-3
     predicted = imu_posterior(build_imu(spec))
     rng = np.random.default_rng(14)

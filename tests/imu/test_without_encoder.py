@@ -159,7 +159,7 @@ def test_angles_that_nobody_knows_are_estimated(plan, spoilt):
     sigma = np.sqrt(np.sum(spread**2, axis=1))
     white = np.linalg.solve(np.linalg.cholesky(spread @ spread.T / np.outer(sigma, sigma)), error / sigma)
     assert np.sum(white**2) < model.calibrated + 4.5 * np.sqrt(2.0 * model.calibrated)
-    assert 1e-3 < report.consistency.fit.probability < 1.0 - 1e-3
+    assert 1e-3 < report.solution.test.probability < 1.0 - 1e-3
     assert not report.calibration.contradicted
 
 
@@ -169,6 +169,6 @@ def test_an_azimuth_that_is_hardly_seen_does_not_run_away():
     spec = gj.changed(PRESET, {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None})
     log, truth = unguided.recorded(spec, 57, 1.0)
     (report,) = estimate_sensors(spec, [log])
-    assert report.consistency.noise_scale < 1.1
+    assert report.solution.noise_scale < 1.1
     for error in report.calibration.table:
         assert abs(error.value - truth[error.name]) < 4.0 * error.standard_deviation, error.name

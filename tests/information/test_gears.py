@@ -74,7 +74,7 @@ def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg, 
     assert plain.calibration.contradicted
     report, _ = estimated(4, ratios, play_deg, SIZES, begins=begins)
     assert not report.calibration.contradicted
-    assert report.consistency.fit.probability > 1e-3
+    assert report.solution.test.probability > 1e-3
     assert squared(plain, truth) > 3.0 * len(truth)
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
 

@@ -367,7 +367,7 @@ def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(record
     name, faulty = faults(log)[key]
     report, rows = estimated(without(key), faulty)
     (sensor,) = report.sensors
-    assert sensor.consistency.fit.passed
+    assert sensor.solution.test.passed
     model = sensor.built.model.channels[0]
     of, unit = (model.map("scale_factor"), 1e6) if name == "M" else (model.map("bias"), 1.0 / DEG_PER_H)
     where = model.where(of.name)

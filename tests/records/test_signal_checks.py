@@ -11,7 +11,6 @@ from gradcal_jax.records.signal_checks import (
     coarse_steps,
     standing_still,
     without_faults,
-    wrapped,
 )
 
 DEG = np.pi / 180.0
@@ -118,33 +117,3 @@ def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
     (said,) = found["A"].sentences
     assert "with about 100 samples lost, the longest 2.02 s, the first at 39.98 s" in said
     assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]
-
-
-@pytest.mark.parametrize("peak", [105.0, 150.0])
-@pytest.mark.parametrize("hertz", [25.0, 100.0, 1000.0])
-def test_rows_that_wrapped_at_full_scale_are_masked(peak, hertz):
-    """A turn to and fro beyond the ±100 deg/s of the format: all rows above it, and no others."""
-    time = np.arange(0.0, 12.0, 1.0 / hertz)
-    true = peak * np.sin(2.0 * np.pi * time / 6.0) * ((time > 3.0) & (time < 9.0))
-    read = true + 0.02 * np.random.default_rng(1).standard_normal(len(time))
-    over = np.abs(read) > 100.0
-    assert over.any()
-    assert wrapped((read + 100.0) % 200.0 - 100.0).tolist() == over.tolist()
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        100.0 * np.sign(np.sin(2.0 * np.pi * np.arange(4000) / 400.0)),  # a table that reverses within a row
-        100.0 * (-1.0) ** np.arange(4000),  # a vibration at half the sampling rate
-        100.0 * np.sin(2.0 * np.pi * 0.41 * np.arange(4000)),
-        np.full(4000, np.nan),
-        np.where(np.arange(4000) % 500 == 250, -90.0, 90.0),  # wrong single rows
-        [],
-        [1.0, np.nan, -1.0],
-        [1.0, -1.0],
-    ],
-)
-def test_what_only_steps_far_did_not_wrap(values):
-    noise = 0.02 * np.random.default_rng(2).standard_normal(len(values))
-    assert not wrapped(np.asarray(values, float) + noise).any()

@@ -32,6 +32,8 @@ Texts = dict[str, str]
 _SETTLED_K = 2.0
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _LINE = {"baudrate", "bytesize", "parity", "stopbits"}
+# What a description needs for a safe state.
+_NEEDED = {"standby": {"off"}, "unpower": {"off", "powered"}}
 
 
 class DescribedOptions(DriverOptions):
@@ -69,6 +71,11 @@ class RequestOptions(DescribedOptions):
     @property
     def line_settings(self) -> dict[str, Any]:
         return self.described.line.model_dump(include=_LINE)
+
+    def lacks_for(self, safe: str) -> str:
+        if _NEEDED.get(safe, set()) <= {*self.described.tell, *self.described.state}:
+            return ""
+        return 'its description lacks [tell.off], or the state that shows its effect: add both, or choose "hold"'
 
     def link(self, line: Transport, clock: Clock) -> Exchange:
         said = self.described.line

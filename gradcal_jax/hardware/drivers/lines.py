@@ -15,12 +15,11 @@ from functools import cache, cached_property, partial
 from typing import Literal
 
 from gradcal_jax import units
-from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import command_and_verify, require_within
 from gradcal_jax.hardware.drivers.described import DescribedChamber, DescribedDevice, RequestOptions, Texts
 from gradcal_jax.hardware.errors import DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout
-from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion
+from gradcal_jax.hardware.line_protocol import Line, LineProtocol, LineQuestion
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings, MotionAxis, SafeReport
 from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
@@ -50,48 +49,13 @@ class LinesConfig(RequestOptions):
     ) -> "LinesChamber | LinesAxis":
         return (LinesChamber if self.described.role == "chamber" else LinesAxis)(link, self)
 
-    def lacks_for(self, safe: str) -> str:
-        if safe != "unpower" or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
-            return ""
-        return 'its protocol lacks [tell.off], or [state.powered] that shows its effect: add both, or choose "hold"'
-
-
-class Codec:
-    """Messages of a protocol: to bytes, and from them."""
-
-    def __init__(self, protocol: LineProtocol) -> None:
-        self._line = protocol.line
-        self._framed = self._line.frame == "stx-etx-xor8"
-        self._reply_ends = b"\x03" if self._framed else self._line.reply_ends.encode("latin-1")
-
-    def message(self, text: str, *, bare: bool = False) -> bytes:
-        body = (self._line.prefix + text).encode("latin-1")
-        if not self._framed:
-            return body if bare else body + self._line.ends.encode("latin-1")
-        body = bytes([self._line.address]) + bytes(byte | 0x80 for byte in body)
-        return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
-
-    def texts(self, received: bytes) -> list[str]:
-        """The complete messages among bytes; those that are damaged are left out."""
-        if self._reply_ends:
-            *frames, _ = received.split(self._reply_ends)
-        else:
-            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
-            frames = list(filter(None, lines))
-        if self._framed:
-            bodies = (bytes(byte & 0x7F for byte in frame.rpartition(b"\x02")[2]) for frame in frames if 2 in frame)
-            address = self._line.address & 0x7F
-            frames = [body[1:-1] for body in bodies if len(body) > 1 and body[0] == address and not xor8(body)]
-        texts = [frame.strip(b" \t\r\n\x11\x13").decode("latin-1") for frame in frames]
-        return [text for text in texts if text.isprintable()]
-
 
 class Lines(DescribedDevice):
     name = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
-        self._codec = Codec(self._said)
+        self._line: Line = self._said.line
         self._homes = self._cut_short = False
 
     def _fields(self, *names: str) -> Texts:
@@ -108,7 +72,7 @@ class Lines(DescribedDevice):
         fields: Texts = {} if last else dict.fromkeys(question.fields, "")
 
         def parse(received: bytes) -> Texts | None:
-            for text in self._codec.texts(received):
+            for text in self._line.texts(received):
                 if last is not None and last.fullmatch(text) and set(question.fields) <= set(fields):
                     return fields
                 # Devices do not refuse queries, so one that is refused was damaged on its way; and the late
@@ -122,13 +86,13 @@ class Lines(DescribedDevice):
                         return fields
             return None
 
-        return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
+        return self._exchange.query(self._line.message(question.send, bare=question.bare), parse)
 
     def _tell(self, name: str, values: Mapping[str, float]) -> None:
         command = self._said.tell[name]
         longest_s = float(self._config.home_timeout) if command.reply_when_done else None
         for number, send in enumerate(command.send):
-            message = self._codec.message(formatted(send, values)[0], bare=command.bare)
+            message = self._line.message(formatted(send, values)[0], bare=command.bare)
             if not command.reply:
                 self._exchange.write(message)
                 continue
@@ -136,7 +100,7 @@ class Lines(DescribedDevice):
             self._exchange.query(message, parse, repeat=False, reply_timeout_s=longest_s)
 
     def _acknowledgement(self, reply: str, received: bytes) -> str | None:
-        for text in self._codec.texts(received):
+        for text in self._line.texts(received):
             if self._homes and self._cut_short:
                 raise Rejected("It was interrupted by a stop.")
             if self._refused(text):
@@ -182,7 +146,7 @@ class Lines(DescribedDevice):
             return
         self._cut_short = True
         for send in interrupt.send:
-            self._exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
+            self._exchange.transport.write(self._line.message(send, bare=interrupt.bare))
 
 
 class LinesChamber(Lines, DescribedChamber):

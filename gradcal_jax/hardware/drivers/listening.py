@@ -3,8 +3,6 @@
 Unverified on real hardware: everything; each description says what its sources leave open.
 """
 
-from typing import ClassVar
-
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.described import DescribedOptions
 from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
@@ -21,7 +19,6 @@ class ListeningConfig(DescribedOptions):
     """Options of an IMU to which nothing is sent."""
 
     role = "imu"
-    driver: ClassVar[str]
 
     def decoder(self) -> ImuDecoder:
         """A new decoder of what the IMU sends; a log is read by it without the device."""
@@ -37,13 +34,13 @@ class ListeningConfig(DescribedOptions):
 class FramesConfig(ListeningConfig):
     """Options of an IMU that sends binary frames."""
 
-    driver, kind = "frames", FramedSensor
+    kind = FramedSensor
 
 
 class TextUnitConfig(ListeningConfig):
     """Options of an IMU that prints lines."""
 
-    driver, kind = "text_unit", TextSensor
+    kind = TextSensor
 
 
 class ListeningImu:
@@ -61,7 +58,7 @@ class ListeningImu:
 
     def identify(self) -> Identity:
         self._listen()
-        return Identity(self._config.driver, self._said.title)
+        return Identity(self._said.format, self._said.title)
 
     def configure(self) -> ImuSettings:
         self._listen()

@@ -36,11 +36,6 @@ class RegistersConfig(RequestOptions):
     def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "RegistersChamber":
         return RegistersChamber(link, self)
 
-    def lacks_for(self, safe: str) -> str:
-        if safe != "standby" or "off" in self.described.tell:
-            return ""
-        return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
-
 
 class RegistersChamber(DescribedChamber):
     name = "registers"

@@ -19,7 +19,7 @@ Units are SI here (rad/s, m/s², °C), unlike in the rest of this package. Vecto
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -68,8 +68,11 @@ class ErrorTerm:
     factors: Factors
 
     def __call__(self, own: Floats, force: Floats, temperature_c: Floats) -> Floats:
-        coefficients = self.values if self.basis is None else self.values @ self.basis(temperature_c).T
-        return (coefficients * self.factors(own, force)).sum(axis=1)
+        coefficients = self.values
+        if self.basis is not None:
+            of_one = self.values.reshape(-1, self.values.shape[2]) @ self.basis(temperature_c).T
+            coefficients = of_one.reshape(*self.values.shape[:2], -1)
+        return np.add.reduce(coefficients * self.factors(own, force), axis=1)
 
 
 @dataclass(frozen=True)
@@ -170,8 +173,9 @@ def _cross(vector: Any) -> Floats:
 
 def _turned(vectors: Floats, axis: Any, angle: Floats | float) -> Floats:
     """Vectors `(…, 3, n)` turned by angles (rad) about a unit vector (Rodrigues)."""
-    across = _cross(axis) @ vectors
-    return vectors + np.sin(angle) * across + (1.0 - np.cos(angle)) * (_cross(axis) @ across)
+    cross = _cross(axis)
+    across = cross @ vectors
+    return vectors + np.sin(angle) * across + (1.0 - np.cos(angle)) * (cross @ across)
 
 
 def turn_by(vector: Sequence[float] | Floats) -> Floats:
@@ -182,7 +186,8 @@ def turn_by(vector: Sequence[float] | Floats) -> Floats:
 
 def _means(parts: Floats) -> Floats:
     """Means of the parts of samples, `(…, n · parts) -> (…, n)`."""
-    return np.add.reduce([parts[..., part::_PARTS] for part in range(_PARTS)]) / _PARTS
+    first, middle, last = (parts[..., part::_PARTS] for part in range(_PARTS))
+    return (first + middle + last) / _PARTS
 
 
 class _Triad:
@@ -190,9 +195,10 @@ class _Triad:
 
     def __init__(self, truth: TriadTruth, random: np.random.Generator) -> None:
         self._truth, self._random = truth, random
-        of = np.array([(p.sigma, p.tau_s, p.bias_gain, p.rate_gain) for p in truth.drifts]).reshape(-1, 4)
-        self._sigmas, self._taus_s, *self._gains = of.T[..., None, None]
-        self._drifts = self._sigmas * random.standard_normal((3, len(of))).T[..., None]
+        drifts = truth.drifts
+        self._sigmas, self._taus_s = np.array([(p.sigma, p.tau_s) for p in drifts]).reshape(-1, 2).T[..., None, None]
+        self._gains = np.array([(p.bias_gain, p.rate_gain) for p in drifts]).reshape(-1, 2).T
+        self._drifts = self._sigmas * random.standard_normal((3, len(drifts))).T[..., None]
         self._walked = np.zeros((3, 1))
         self._loops: list[Loop] = []
 
@@ -215,20 +221,21 @@ class _Triad:
             said = said + loop(middles_c, period_s).T * (mean if law.of_input else 1.0)
         return said
 
-    def _noise(self, count: int, period_s: float) -> tuple[Floats, Floats]:
+    def _noise(self, count: int, period_s: float) -> tuple[Floats, Floats | float]:
         """The additive error and the scale-factor error of every sample: `(3, count)` each."""
         truth = self._truth
         draws = self._random.standard_normal((count, 3, 2 + len(truth.drifts))).T
-        walk = self._walked + np.cumsum(truth.walk * period_s**0.5 * draws[1], axis=1)
-        self._walked = walk[:, -1:]
-        added = truth.white / period_s**0.5 * draws[0] + walk
+        added = truth.white / period_s**0.5 * draws[0]
+        if truth.walk:
+            walk = self._walked + np.cumsum(truth.walk * period_s**0.5 * draws[1], axis=1)
+            self._walked, added = walk[:, -1:], added + walk
         if not truth.drifts:
-            return added, 0.0 * walk
+            return added, 0.0
         decay = np.exp(-period_s / self._taus_s)
         drifts = decayed(self._sigmas * np.sqrt(1.0 - decay**2) * draws[2:], decay, self._drifts)
         self._drifts = drifts[..., -1:]
-        of_bias, of_rate = self._gains
-        return added + (of_bias * drifts).sum(axis=0), (of_rate * drifts).sum(axis=0)
+        of_bias, of_rate = (self._gains @ drifts.reshape(len(drifts), -1)).reshape(2, 3, -1)
+        return added + of_bias, of_rate
 
 
 class SimulatedImu:
@@ -253,6 +260,13 @@ class SimulatedImu:
             raise ValueError(f"the table has {len(table.axes)} axes, but {len(axes)} axes are given: give all axes.")
         self.truth, self.table, self.mounting = truth, table, mounting
         self._climate, self._axes = climate, tuple(axes)
+        # The turn from each stage to the next one.
+        outer = [turn_by(table.base)]
+        for lean, (axis, inner) in zip(table.orthogonality, pairwise(table.axes), strict=True):
+            outer.append(turn_by(lean * np.cross(inner, axis)))
+        self._stages = outer
+        earth = table.earth_rate * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
+        self._at_site = np.array([earth, [0.0, 0.0, table.gravity]])[..., None]
         random = np.random.default_rng([seed, 20263])
         self._triads: dict[Kind, _Triad] = {kind: _Triad(triad, random) for kind, triad in truth.triads.items()}
         self._die: Mass | None = None
@@ -302,20 +316,15 @@ class SimulatedImu:
     def _motion(self, times_s: Floats) -> tuple[Floats, Floats]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(3, n)`, of `n` parts with their
         ends and middles."""
-        table, lasting_s = self.table, np.diff(times_s[::2])
-        earth = table.earth_rate * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
-        seen = turn_by(table.base).T @ np.array([earth, [0.0, 0.0, table.gravity]])[..., None]
-        for number, (axis, plant) in enumerate(zip(table.axes, self._axes, strict=True)):
-            direction, angles = np.array(axis), np.radians(plant.position(times_s))
-            seen = _turned(seen, direction, -angles[1::2])
-            seen[0] += direction[:, None] * (np.diff(angles[::2]) / lasting_s)
-            if number + 1 < len(table.axes):
-                off = table.orthogonality[number] * np.cross(table.axes[number + 1], direction)
-                seen = turn_by(off).T @ seen
-        rate, force = table.mountings[self.mounting].T @ seen
+        lasting_s, seen = np.diff(times_s[::2]), self._at_site
+        for stage, axis, plant in zip(self._stages, self.table.axes, self._axes, strict=True):
+            angles = np.radians(plant.position(times_s))
+            seen = _turned(stage.T @ seen, axis, -angles[1::2])
+            seen[0] += np.array(axis)[:, None] * (np.diff(angles[::2]) / lasting_s)
+        rate, force = self.table.mountings[self.mounting].T @ seen
         return rate, force
 
 
 def _at_lever(lever: Floats, rate: Floats, acceleration: Floats) -> Floats:
     """The acceleration by rotation in the specific force: ω × (ω × r) + ω̇ × r."""
-    return rate * (lever @ rate) - lever[:, None] * (rate * rate).sum(axis=0) - _cross(lever) @ acceleration
+    return rate * (lever @ rate) - lever[:, None] * np.add.reduce(rate * rate) - _cross(lever) @ acceleration

@@ -12,9 +12,7 @@ time takes as long as its computation. A unit gives the bytes that the descripti
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +30,6 @@ from gradcal_jax.hardware.simulate.draws import draw_places, draw_table, draw_tr
 from gradcal_jax.hardware.simulate.imu import SensorSamples, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 from gradcal_jax.recipe.tracks import read_at_rest, tracks_of
-from gradcal_jax.spec.bench import TableAxis
 from gradcal_jax.spec.rig import RigFile, rig_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.units import to_unit
@@ -71,10 +68,9 @@ _HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
 _TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
-# The standard deviation of a person's pace.
-_PACES_APART = 0.1
 # Where a motor without feedback stops, about its goal (standard deviation), deg.
-_STOPS_OFF_DEG = 5.0
+_STOPS_OFF_DEG: Final = 5.0
+_AXIS_STEP_DEG: Final = 360.0 / 1_152_000
 
 
 class SimulatedChamber(ChamberDriver):
@@ -83,7 +79,6 @@ class SimulatedChamber(ChamberDriver):
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
         self.plant, self._clock, self._title = plant, clock, "simulated chamber"
         self._limits = roles.ChamberLimits(lowest_c, highest_c, hardware_ramp=True)
-        self.alarms: tuple[str, ...] = ()
 
     def identify(self) -> roles.Identity:
         return roles.Identity("simulated", "chamber")
@@ -95,7 +90,7 @@ class SimulatedChamber(ChamberDriver):
         now = self._clock.now()
         plant = self.plant.at(now)
         mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c, 1)
-        return roles.ChamberReading(now, air_c, None, plant.set_point_c, mode, plant.conditioning, self.alarms)
+        return roles.ChamberReading(now, air_c, None, plant.set_point_c, mode, plant.conditioning, ())
 
     def hold(self, temperature_c: float) -> None:
         self.set_point(temperature_c)
@@ -175,92 +170,76 @@ class SimulatedAxis(roles.MotionAxis):
         return step * round(angle_deg / step)
 
 
-@dataclass(frozen=True)
-class SimulatedHand:
-    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial when the axis
-    stands."""
-
-    seed: int = 0
-    reaction_s: float = 1.5
-    reading_s: float = 2.0
-    miss_deg: float = 0.3
-
-
 class SimulatedPerson:
     """Role `OperatorAsked`, for `drivers.operator`: turns axes, by name, on their plants as the questions say, types
-    angles, and hangs the units anew by `hang` with the number of the mounting."""
+    angles, and hangs the units anew.
+
+    A person reacts after a while, takes the time that is asked for, misses the mark a little (`miss_deg`, standard
+    deviation), and reads the dial when the axis stands.
+    """
 
     def __init__(
         self,
         clock: Clock,
         plants: Mapping[str, AxisPlant],
-        hand: SimulatedHand,
-        hang: Callable[[int], None] = lambda number: None,
+        units: Iterable[SimulatedImu] = (),
+        *,
+        seed: int = 0,
+        miss_deg: float = 0.3,
     ) -> None:
-        self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
-        self._random = np.random.default_rng([hand.seed, 4])
-        # When the answer is given, and its text at that time.
+        self.reaction_s, self.reading_s, self.miss_deg = 1.5, 2.0, miss_deg
+        self._clock, self._plants, self._units = clock, plants, units
+        self._random = np.random.default_rng([seed, 4])
         self.answers_s = math.inf
-        self._answer: Callable[[float], str] = str
-        self._axis = ""
+        """When the answer is given."""
+        # The axis that was turned last, whether its angle is typed, and the mounting that was asked for.
+        self._axis, self._by_angle, self._mounting = "", False, 0
 
     def ask(self, question: str) -> None:
-        hand, random, now = self.hand, self._random, self._clock.now()
-        if hung := _HANG.search(question):
-            self.answers_s, self._answer = now + _HANGS_S, partial(self._mounted, int(hung[1]))
-            return
+        now = self._clock.now()
         # A doubted answer is given again in the same way: "press Enter again", "type it again".
-        self._answer = self._enter if "Enter" in question else self._dial
-        if turn := _TURN.search(question):
-            begins_s = now + hand.reaction_s * float(random.lognormal(0.0, 0.3))
-            pace = max(0.5, 1.0 + _PACES_APART * float(random.standard_normal()))
-            planned_s = _HOME_S if turn[2] is None else float(turn[2])
-            self._turn(turn[1], float(turn[3]), begins_s, planned_s * pace)
+        self._by_angle, self._mounting = "Enter" not in question, 0
+        self.answers_s = now + self.reading_s
+        if hung := _HANG.search(question):
+            self.answers_s, self._mounting = now + _HANGS_S, int(hung[1])
+        elif turn := _TURN.search(question):
+            self._turn(turn[1], float(turn[3]), float(turn[2] or _HOME_S))
         elif zero := _ZERO.search(question):
             # At the zero mark the angle becomes zero, without whole turns.
             plant = self._plants[zero[1]]
             angle, _ = plant.state(now)
             plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
-            self._turn(zero[1], 0.0, now + hand.reaction_s, _HOME_S)
-        else:
-            self.answers_s = now + hand.reading_s
+            self._turn(zero[1], 0.0, _HOME_S)
 
     def answer(self) -> tuple[str, float] | None:
         at_s = self.answers_s
         if self._clock.now() < at_s:
             return None
         self.answers_s = math.inf
-        return self._answer(at_s), at_s
+        if self._mounting:
+            for unit in self._units:
+                unit.mounting = self._mounting - 1
+        return f"{self._plants[self._axis].reading(at_s) % 360.0:.3f} deg" if self._by_angle else "", at_s
 
     def withdraw(self, why: str) -> None:
         self.answers_s = math.inf
 
-    def _mounted(self, number: int, at_s: float) -> str:
-        self._hang(number)
-        return ""
-
-    def _enter(self, at_s: float) -> str:
-        return ""
-
-    def _dial(self, at_s: float) -> str:
-        return f"{self._plants[self._axis].reading(at_s) % 360.0:.3f} deg"
-
-    def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
-        miss = self.hand.miss_deg * float(self._random.standard_normal())
-        plant = self._plants[name]
+    def _turn(self, name: str, goal_deg: float, lasts_s: float) -> None:
+        plant, begins_s = self._plants[name], self._clock.now() + self.reaction_s
+        goal_deg += self.miss_deg * float(self._random.standard_normal())
         # The ramps at both ends are a quarter of the time each.
-        rate_dps = max(abs(goal_deg + miss - plant.state(begins_s)[0]), 1e-9) / (0.75 * lasts_s)
-        plant.move_to(begins_s, goal_deg + miss, rate_dps, rate_dps / (0.25 * lasts_s))
-        self._axis, self.answers_s = name, begins_s + lasts_s + self.hand.reading_s
+        rate_dps = max(abs(goal_deg - plant.state(begins_s)[0]), 1e-9) / (0.75 * lasts_s)
+        plant.move_to(begins_s, goal_deg, rate_dps, rate_dps / (0.25 * lasts_s))
+        self._axis, self.answers_s = name, begins_s + lasts_s + self.reading_s
 
 
 class SimulatedStream:
     """Role `ImuStream`: a unit of the driver "frames" whose bytes reach the computer every `burst_s`."""
 
     def __init__(self, sensor: SimulatedImu, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
-        self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
+        self.sensor, self._clock, self._unit, self._burst_s = sensor, clock, config.described, burst_s
         self.serial = serial
-        self._rate_hz = float(config.described.rate)
+        self._rate_hz = float(self._unit.rate)
 
     def identify(self) -> roles.Identity:
         return roles.Identity("frames", "simulated", self.serial)
@@ -279,15 +258,12 @@ class SimulatedStream:
         return datagrams(samples, first, self._rate_hz).tobytes(), now
 
     def decoder(self) -> FrameDecoder:
-        return FrameDecoder(self._config.described)
+        return FrameDecoder(self._unit)
 
 
 def unit_options(sample_rate_hz: float) -> dict[str, Any]:
     """The options of a unit in the rig file."""
     return {"protocol": "stim300", "changes": {"rate": f"{sample_rate_hz:g} Hz"}}
-
-
-_AXIS_STEP_DEG: Final = 360.0 / 1_152_000
 
 
 class SimulatedLab:
@@ -320,8 +296,7 @@ class SimulatedLab:
             cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
             load_time_constant_s=max(float(spec.sensor.thermal_lag or 0.0), 1.0),
         )
-        self.chamber_plant = ChamberPlant(physics, now)
-        climate = self.chamber_plant
+        climate = self.chamber_plant = ChamberPlant(physics, now)
         if chamber.control == "none":
             segments = spec.gradient_schedule.segments
             course = [segments[0].temperature_start, *(s.temperature_end for s in segments)]
@@ -334,8 +309,9 @@ class SimulatedLab:
         # Each at its place of a fixture: there are as many as places.
         held = draw_places(spec, truth, seed) or [truth] * units
         names = [place.name for place in spec.rig.table.place] or [f"unit{k + 1}" for k in range(units)]
-        self.units: dict[str, SimulatedImu] = {
-            name: SimulatedImu(
+        self.units: dict[str, SimulatedImu] = {}
+        for number, (name, table) in enumerate(zip(names, held, strict=True), start=1):
+            self.units[name] = SimulatedImu(
                 draw_truth(spec, seed, number),
                 table,
                 climate,
@@ -345,63 +321,58 @@ class SimulatedLab:
                 mounting=mounting,
                 start_s=now,
             )
-            for number, (name, table) in enumerate(zip(names, held, strict=True), start=1)
-        }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 
     def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         """Make the devices. Axes may be turned by hand, their angles typed or read from an encoder."""
-        axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
-        typed = not read_at_rest(tracks_of(spec).motion)
-        cold, hot = (float(end) for end in spec.rig.chamber.range)
-        settings = unit_options(sample_rate_hz)
-        table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}
-        unit = {"driver": "frames", "options": settings}
+        table, controlled = spec.rig.table, spec.rig.chamber.control == "chamber"
+        by_hand, told = table.drive == "hand", table.by_gravity
+        read = read_at_rest(tracks_of(spec).motion) and not told
+        device, options = {"driver": "simulated"}, unit_options(sample_rate_hz)
+        turned = device | {"port": "/simulated/table", "safe": "hold", "gravity_loaded": False}
         tables: dict[str, Any] = {
             "format": "gradcal-rig/1",
             "title": "simulated laboratory",
-            "chamber": {"driver": "simulated", "port": "/simulated/chamber", "safe": "standby"},
-            "axis": [{"name": axis.name, **table} for axis in axes],
-            "imu": [{"name": name, "port": f"/simulated/{name}", **unit} for name in self.units],
+            "axis": [{"name": axis.name, **turned} for axis in table.axis],
+            "imu": [
+                {"name": name, "port": f"/simulated/{name}", "driver": "frames", "options": options}
+                for name in self.units
+            ],
         }
-        if spec.rig.chamber.control == "none":
-            del tables["chamber"]
+        if controlled:
+            tables["chamber"] = device | {"port": "/simulated/chamber", "safe": "standby"}
         self.rig = rig_of(tables)
-        self.bench = Bench(self.rig)
-        if spec.rig.chamber.control == "chamber":
-            self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
-        told = spec.rig.table.by_gravity
-        plants = {axis.name: plant for axis, plant in zip(axes, self.axis_plants, strict=True)}
-        hand = SimulatedHand(seed, miss_deg=3.0 if told else 0.3)
-        if takes_s := float(spec.rig.table.answer_time):
-            # Nine tenths of what the spec allows, in the mean: half to hear and begin, half to say that it is done.
-            hand = replace(hand, reaction_s=0.45 * takes_s, reading_s=0.45 * takes_s)
-        person = SimulatedPerson(clock, plants, hand, self._hang)
-        for axis in axes:
-            limits = _limits_of(axis, told=told and not by_hand)
-            driven = SimulatedAxis(plants[axis.name], clock, limits)
-            most = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
-            config = OperatorConfig(**most, angle="none" if told else "typed")
-            by_person = OperatorAxis(person, config, clock, axis.name, None if typed or told else driven)
-            self.bench.axes[axis.name] = by_person if by_hand else driven
-        config = FramesConfig(**settings)
+        self.bench = bench = Bench(self.rig)
+        if controlled:
+            cold, hot = (float(end) for end in spec.rig.chamber.range)
+            bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
+        plants = {axis.name: plant for axis, plant in zip(table.axis, self.axis_plants, strict=True)}
+        person = SimulatedPerson(clock, plants, self.units.values(), seed=seed, miss_deg=3.0 if told else 0.3)
+        if takes_s := float(table.answer_time):
+            # Nine tenths of what the spec allows: half to hear and begin, half to say that it is done.
+            person.reaction_s = person.reading_s = 0.45 * takes_s
+        for axis in table.axis:
+            travel = float(np.degrees(float(axis.travel)))
+            limits = roles.AxisLimits(
+                to_unit(float(axis.max_rate), "deg/s"),
+                to_unit(float(axis.max_acceleration), "deg/s^2"),
+                None if np.isinf(travel) else -travel,
+                None if np.isinf(travel) else travel,
+                _AXIS_STEP_DEG,
+                told=told and not by_hand,
+            )
+            bench.axes[axis.name] = driven = SimulatedAxis(plants[axis.name], clock, limits)
+            if by_hand:
+                most = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
+                config = OperatorConfig(**most, angle="none" if told else "typed")
+                bench.axes[axis.name] = OperatorAxis(person, config, clock, axis.name, driven if read else None)
+        config = FramesConfig(**options)
         for number, (name, sensor) in enumerate(self.units.items(), start=1):
-            self.bench.imus[name] = SimulatedStream(sensor, clock, config, burst_s, f"SIMULATED{number}")
-        if len(spec.rig.table.mounting) > 1:
-            self.bench.console = person
+            bench.imus[name] = SimulatedStream(sensor, clock, config, burst_s, f"SIMULATED{number}")
+        if len(table.mounting) > 1:
+            bench.console = person
 
     def truths(self) -> dict[str, Any]:
         """The true parameters by their names in the calibrations, SI, for a file."""
         units = {name: unit.truth.names for name, unit in self.units.items()}
         return {"installation": self._installation, "units": units}
-
-    def _hang(self, number: int) -> None:
-        for unit in self.units.values():
-            unit.mounting = number - 1
-
-
-def _limits_of(says: TableAxis, *, told: bool) -> roles.AxisLimits:
-    rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
-    travel = float(np.degrees(float(says.travel)))
-    lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
-    return roles.AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, told=told)

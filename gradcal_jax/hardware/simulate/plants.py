@@ -258,12 +258,16 @@ class AxisPlant:
 
     def _axis(self, times_s: Floats) -> Floats:
         """Angles of the axis behind its backlash."""
-        phases = np.array(self._since(float(times_s[0])))
-        number = np.clip(np.searchsorted(phases[:, 0], times_s, side="right") - 1, 0, None)
-        start_s, begun, rate, slope, axis = phases[number].T
+        first, *later = self._since(float(times_s[0]))
+        angles = self._axis_in(first, times_s)
+        for phase in later:
+            if phase[0] <= times_s[-1]:
+                angles = np.where(times_s < phase[0], angles, self._axis_in(phase, times_s))
+        return angles
+
+    def _axis_in(self, phase: tuple[float, ...], times_s: Floats) -> Floats:
+        start_s, begun, rate, slope, axis = phase
         after_s = np.maximum(times_s - start_s, 0.0)
         motor = begun + rate * after_s + 0.5 * slope * after_s**2
-        if not self.truth.backlash_deg:
-            return motor
         half = 0.5 * self.truth.backlash_deg
-        return np.clip(axis, motor - half, motor + half)
+        return np.clip(axis, motor - half, motor + half) if half else motor

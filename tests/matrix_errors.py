@@ -136,8 +136,8 @@ def along_after_correction(
     def matrices(parameters: np.ndarray) -> np.ndarray:
         result = np.zeros((len(temperatures), 3, 3))
         for i in range(3):
-            channel, own = model.channel("gyro", i), parameters[model.where("gyro", i)]
-            assert channel is not None
+            (channel,) = (c for c in model.channels if (c.kind, c.axis) == ("gyro", i))
+            own = parameters[model.where("gyro", i)]
             scale = channel.map(SCALE_FACTOR)
             assert scale is not None
             at_rest = scale.values(temperatures, np.zeros(len(temperatures)))

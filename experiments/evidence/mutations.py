@@ -36,7 +36,7 @@ class Fault:
 FAULTS = (
     Fault(
         "a negative power of a unit is positive",
-        "units/quantities.py",
+        "units/__init__.py",
         'str.maketrans("⁻¹²³", "-123")',
         'str.maketrans("⁻¹²³", "+123")',
         "tests/test_units.py",
@@ -99,9 +99,9 @@ FAULTS = (
     ),
     Fault(
         "a rule that is violated for long does not trip",
-        "hardware/interlocks.py",
-        "elif now_s - self._since.setdefault(name, now_s) >= patience_s:",
-        "elif now_s - self._since.setdefault(name, now_s) > max(patience_s, 1e9):",
+        "hardware/runner.py",
+        "elif now - self._violated_since_s.setdefault(rule, now) >= PATIENCE_S.get(rule, 0.0):",
+        "elif now - self._violated_since_s.setdefault(rule, now) >= max(PATIENCE_S.get(rule, 0.0), 1e9):",
         "tests/hardware/test_mishaps.py",
     ),
     Fault(
@@ -175,10 +175,10 @@ FAULTS = (
         "tests/spec",
     ),
     Fault(
-        "angles of a track are rates times time, without the half of the trapezoid",
+        "angles of a track are twice what the rates give",
         "records/alignment.py",
-        "np.cumsum(0.5 * steps * (rates[1:] + rates[:-1]), axis=0)",
-        "np.cumsum(steps * (rates[1:] + rates[:-1]), axis=0)",
+        "angles = integrate.cumulative_trapezoid(rates, time_s, axis=0, initial=0.0)",
+        "angles = 2.0 * integrate.cumulative_trapezoid(rates, time_s, axis=0, initial=0.0)",
         "tests/records/test_alignment.py",
     ),
     Fault(

@@ -16,9 +16,10 @@ from gradcal_jax.calibration.correction import temperature_slope
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_readings import ImuReadings
 from gradcal_jax.estimation.imu_solve import ImuEstimate, Whitened, factored
+from gradcal_jax.information.imu_rows import rows_of_terms
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.information.unseen import Answers
-from gradcal_jax.model import GradientOfBias, Term
+from gradcal_jax.model import GradientOfBias
 from gradcal_jax.spec.spec_sections import Spec
 
 # Components whose gain is below this share of the largest gain would only add noise to the test.
@@ -96,14 +97,6 @@ class Whitener:
         """`(n, k)`, of the rows used, of columns `(R, k)` of all rows."""
         return self.white(self.readings.by_steps(rows))
 
-    def of_term(self, number: int, term: Term) -> np.ndarray:
-        """The columns `(R, k)` of a term if the channel of this number had it; not whitened."""
-        channel = self.readings.model.channels[number]
-        columns = term.columns(self.nodes.sensed_by(channel.kind, channel.axis))
-        rows, own = np.zeros((len(self.at.row_segment), term.size)), self.at.row_channel == number
-        rows[own] = self.at.sums(np.asarray(columns))[self.at.row_segment[own]]
-        return rows
-
     def answers(self, solution: ImuEstimate) -> Answers:
         """By how much the estimate is off for one unit of what it does not know; see `information.unseen`."""
         readings, numbers = self.readings, range(len(self.readings.model.channels))
@@ -111,7 +104,7 @@ class Whitener:
         before = readings.temperature_c - temperature_slope(readings.temperature_c, readings.log.time_s)
         late = readings.at(before, solution.parameters) - readings.expected(solution.parameters)
         unit = GradientOfBias(std=np.inf)
-        columns = [self.of_term(k, unit) for k in numbers]
+        columns = [rows_of_terms(readings.model, self.nodes, self.at, [(k, unit) for k in numbers])]
         columns += [(late * (self.at.row_channel == k))[:, None] for k in numbers]
         along = solution.white.rows.T @ self(np.concatenate(columns, axis=1))
         spread = solution.known.spread

@@ -122,7 +122,7 @@ class Differentiable:
         return schedule
 
     def _sensed(self, figures: Mapping[str, Any]) -> ImuModel:
-        places, ratios = noise_figures(self.built) | installation_figures(self.built.model), dict[str, Any]()
+        places, ratios = noise_figures(self.built.model) | installation_figures(self.built.model), dict[str, Any]()
         for name in places:
             own = self.own[name]
             ratios[name] = namespace(figures[name]).where(own != 0.0, figures[name] / np.where(own, own, 1.0), 1.0)
@@ -183,7 +183,7 @@ def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
 
 def _figures(built: BuiltImu, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
     """The spec's own quantities."""
-    noise = noise_figures(built) | installation_figures(built.model)
+    noise = noise_figures(built.model) | installation_figures(built.model)
     figures: dict[str, Any] = {name: of.value for name, of in noise.items()}
     every = np.asarray(built.model.encoder.every)
     if np.any(np.isfinite(every)):

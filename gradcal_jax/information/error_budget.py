@@ -135,7 +135,7 @@ def _active_sources(built: BuiltImu) -> dict[str, Figure]:
     unread = {"reading noise", "standstill offset", "timing error"} if line.rates else {"rate accuracy"}
     if built.model.encoder.held or not np.any(line.moving):
         unread.add("timing error")
-    figures = noise_figures(built).items()
+    figures = noise_figures(built.model).items()
     return {n: of for n, of in figures if n not in unread and not n.startswith(CORRELATION_TIME)}
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from gradcal_jax.arrays import put
 from gradcal_jax.model import ChannelKind, ImuModel
-from gradcal_jax.model.build import BuiltImu
 
 _WHITE: Final[dict[ChannelKind, str]] = {"gyro": "angle random walk", "accelerometer": "velocity random walk"}
 # Fields of the encoders' noise, by error source.
@@ -28,7 +27,7 @@ class Figure(NamedTuple):
     places: tuple[tuple[Path, Any, float], ...]
 
 
-def noise_figures(built: BuiltImu) -> dict[str, Figure]:
+def noise_figures(model: ImuModel) -> dict[str, Figure]:
     """The standard deviation of every source of noise that is not zero, `()`, or `(k,)` for each process or axis; and
     the correlation times (s) of sources whose processes all have one."""
     figures: dict[str, Figure] = {}
@@ -38,17 +37,18 @@ def noise_figures(built: BuiltImu) -> dict[str, Figure]:
             before = figures[name].places if name in figures else ()
             figures[name] = Figure(np.asarray(value, dtype=float), (*before, *places))
 
-    for k, c in enumerate(built.model.channels):
+    for k, c in enumerate(model.channels):
         add(_WHITE[c.kind], c.angle_random_walk, (("channels", k, "angle_random_walk"), ..., 1.0))
         initial, driving, decay = (("channels", k, "processes", of) for of in ("initial_std", "diffusion", "decay"))
-        for process, members in built.sources[c.kind].items():
-            name, at = process if c.kind == "gyro" else f"accelerometer {process}", np.array(members)
-            start, diffusion, rates = (np.asarray(_at(built.model, of))[at] for of in (initial, driving, decay))
+        for source in dict.fromkeys(c.processes.sources):
+            name = source if c.kind == "gyro" else f"accelerometer {source}"
+            at = np.flatnonzero(np.array(c.processes.sources) == source)
+            start, diffusion, rates = (np.asarray(_at(model, of))[at] for of in (initial, driving, decay))
             add(name, np.where(start == 0.0, diffusion, start), (initial, at, 1.0), (driving, at, 1.0))
             if np.all(rates > 0.0) and np.any(start):
                 add(CORRELATION_TIME + name, 1.0 / rates, (decay, at, -1.0), (driving, at, -0.5))
     for name, field in _ENCODER.items():
-        add(name, getattr(built.model.encoder, field), (("encoder", field), ..., 1.0))
+        add(name, getattr(model.encoder, field), (("encoder", field), ..., 1.0))
     return figures
 
 

@@ -46,11 +46,6 @@ class Basis(PytreeModule):
         """Points at which the functions are not smooth; a quadrature must not extend across them."""
         return ()
 
-    @property
-    def has_neighbours(self) -> bool:
-        """Whether coefficients belong to places, so that neighbouring ones should be similar."""
-        return False
-
 
 @lru_cache(maxsize=64)
 def _monomials(degree: int) -> np.ndarray:
@@ -124,10 +119,6 @@ class BSpline(Basis):
     @property
     def breaks(self) -> tuple[float, ...]:
         return self.knots if self.degree else self.knots[1:-1]
-
-    @property
-    def has_neighbours(self) -> bool:
-        return True
 
 
 def tensor(first: Float[AnyArray, "... a"], second: Float[AnyArray, "... b"]) -> Float[AnyArray, "... ab"]:

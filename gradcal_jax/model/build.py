@@ -1,6 +1,6 @@
 """A spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import NamedTuple
@@ -59,21 +59,19 @@ _EXACT = 1e-12
 _UNKNOWN = 3.0
 
 Triad = GyroTriad | AccelerometerTriad
-Sources = dict[str, tuple[int, ...]]
 
 
 class BuiltImu(NamedTuple):
     """An IMU's spec in the core's terms. `motion`: of the plan. `points`: quadrature points along a piece for functions
-    of temperature, which are smooth there (`rough`: not along the pieces of a log). `sources`: for each kind of channel
-    the indices of its noise processes by the name of their error source. `about` `(p,)`: the parameters of an estimate,
-    by which its errors act; None: an ideal sensor's. `gears`: see `gears.gears_of`, of what the spec itself names."""
+    of temperature, which are smooth there (`rough`: not along the pieces of a log). `about` `(p,)`: the parameters of
+    an estimate, by which its errors act; None: an ideal sensor's. `gears`: of what the spec itself names (`gears_of`).
+    """
 
     spec: Spec
     model: ImuModel
     motion: TableMotion
     points: int
     rough: bool
-    sources: Mapping[ChannelKind, Sources]
     about: np.ndarray | None = None
     gears: Sequence[tuple[float, float]] = ()
 
@@ -95,7 +93,7 @@ def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
         raise MemoryError(too)
     # (Sections are frozen.)
     of = spec.sensor, spec.rig, _has_common_clock(spec), known_terms()
-    model, sources = _model_and_sources(*of)  # pyright: ignore[reportArgumentType]
+    model = _model(*of)  # pyright: ignore[reportArgumentType]
     bases = [term.whole.temperature for term in model.terms if isinstance(term, Map)]
     # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) and not isinstance(t, Hysteresis | ProductTerm) for t in model.terms)
@@ -105,7 +103,7 @@ def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
     rough = model.knows_path or any(basis.breaks for basis in bases)
     gears = gears_of(spec) if like is None else like.gears
     motion = like.motion if like is not None and _alike(spec, model, like) else plan_motion(spec, model)
-    return BuiltImu(spec, model, motion, points, rough, sources, gears=gears)
+    return BuiltImu(spec, model, motion, points, rough, gears=gears)
 
 
 def _alike(spec: Spec, model: ImuModel, like: BuiltImu) -> bool:
@@ -137,23 +135,20 @@ def _has_common_clock(spec: Spec) -> bool:
 
 
 @lru_cache(maxsize=16)
-def _model_and_sources(
-    sensor: Sensor, rig: Rig, common_clock: bool, _classes: tuple[type[OwnTerm], ...]
-) -> tuple[ImuModel, dict[ChannelKind, Sources]]:
-    """Model and noise sources of a sensor on a rig; kept, since the points of a sweep have plans of their own only.
-    `_classes`: of terms, which may be defined anew."""
+def _model(sensor: Sensor, rig: Rig, common_clock: bool, _classes: tuple[type[OwnTerm], ...]) -> ImuModel:
+    """The model of a sensor on a rig; kept, since the points of a sweep have plans of their own only. `_classes`: of
+    terms, which may be defined anew."""
     channels: list[Channel] = []
-    sources: dict[ChannelKind, Sources] = {}
     for kind in KINDS:
         triad = getattr(sensor, kind)
         if triad is None:
             continue
-        processes, sources[kind] = _noise(sensor, rig, common_clock, triad)
+        processes = sum(_processes(sensor, rig, common_clock, triad), no_processes())
         white = np.asarray(float(getattr(triad, _WHITE[kind])))
         for axis in triad.axes:
             terms = tuple(_terms(triad, kind, axis))
             channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis)))
-    return ImuModel(tuple(channels), tuple(_installation(sensor, rig, common_clock)), _encoder(rig)), sources
+    return ImuModel(tuple(channels), tuple(_installation(sensor, rig, common_clock)), _encoder(rig))
 
 
 def _encoder(rig: Rig) -> EncoderNoise:
@@ -220,38 +215,29 @@ _MAPS: dict[ChannelKind, tuple[tuple[str, str, tuple[str, ...], str, str, str], 
 _WHITE: dict[ChannelKind, str] = {"gyro": "angle_random_walk", "accelerometer": "velocity_random_walk"}
 
 
-def _noise(sensor: Sensor, rig: Rig, common_clock: bool, triad: Triad) -> tuple[Processes, Sources]:
-    """The noise processes of a channel, and their indices by error source."""
-    total, sources = no_processes(), Sources()
-    for name, process in _processes(sensor, rig, common_clock, triad):
-        sources[name] = (*sources.get(name, ()), total.count)
-        total = total + process
-    return total, sources
-
-
-def _processes(sensor: Sensor, rig: Rig, common_clock: bool, triad: Triad) -> Iterator[tuple[str, Processes]]:
-    """The noise processes of a channel by error source: its own, the sample clock where it is no common parameter of
-    all channels, and the Earth's rate where no bias is estimated that includes it."""
+def _processes(sensor: Sensor, rig: Rig, common_clock: bool, triad: Triad) -> Iterator[Processes]:
+    """The noise processes of a channel: its own, the sample clock where it is no common parameter of all channels, and
+    the Earth's rate where no bias is estimated that includes it."""
     for d in triad.drift:
-        yield "bias instability", gauss_markov(float(d.standard_deviation), float(d.correlation_time))
+        yield gauss_markov(float(d.standard_deviation), float(d.correlation_time))
     gyro = triad if isinstance(triad, GyroTriad) else None
     if gyro is not None and gyro.rate_random_walk:
-        yield "rate random walk", rate_random_walk(float(gyro.rate_random_walk))
+        yield rate_random_walk(float(gyro.rate_random_walk))
     for d in triad.scale_factor_instability:
         figures = float(d.standard_deviation), float(d.correlation_time)
-        yield "scale-factor instability", gauss_markov(*figures, bias_gain=0.0, rate_gain=1.0)
+        yield gauss_markov(*figures, bias_gain=0.0, rate_gain=1.0, source="scale-factor instability")
     if (error := triad.thermometer_noise) is not None:
         # All channels share a thermometer, but the signs of their slopes are unknown: their errors are uncorrelated.
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
         time = np.inf if error.correlation_time is None else float(error.correlation_time)
-        yield "temperature measurement", gauss_markov(float(error.standard_deviation), time, **gains)
+        yield gauss_markov(float(error.standard_deviation), time, **gains, source="temperature measurement")
     if gyro is not None and sensor.clock_error and not common_clock:
-        yield "sample clock", constant(sensor.clock_error, rate_gain=1.0)
+        yield constant(sensor.clock_error, rate_gain=1.0, source="sample clock")
     if triad.turn_on_bias and triad.bias is None:
-        yield "turn-on bias", constant(float(triad.turn_on_bias), bias_gain=1.0)
+        yield constant(float(triad.turn_on_bias), bias_gain=1.0)
     if gyro is not None and rig.site.is_unknown and gyro.bias is None:
         # Rectangular within the whole rate.
-        yield "Earth's rate", constant(EARTH_RATE / 3.0**0.5, bias_gain=1.0)
+        yield constant(EARTH_RATE / 3.0**0.5, bias_gain=1.0, source="Earth's rate")
 
 
 def _terms(triad: Triad, kind: ChannelKind, axis: str) -> Iterator[Term]:

@@ -166,10 +166,6 @@ class ImuModel(PytreeModule):
         places = [at for of, at in own if name in (None, of)]
         return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
 
-    def channel(self, kind: ChannelKind, axis: int) -> Channel | None:
-        """The channel of that kind and axis, if there is one."""
-        return next((c for c in self.channels if (c.kind, c.axis) == (kind, axis)), None)
-
     @property
     def knows_path(self) -> bool:
         """Whether any term depends on the path of temperature."""

@@ -17,8 +17,7 @@ which drives the channel's integral at the rate `(bias_gain + rate_gain·ω(t))�
 | a constant (turn-on bias, sample clock) | σ | 0 | 0 | 1 or 0 | 0 or 1 |
 """
 
-from dataclasses import fields
-
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -26,44 +25,52 @@ from gradcal_jax.arrays import AnyArray, PytreeModule
 
 
 class Processes(PytreeModule):
-    """`m` independent scalar noise processes; every field has the shape `(m,)` and SI units."""
+    """`m` independent scalar noise processes; every field has the shape `(m,)` and SI units. `sources`: the name of the
+    error source of each."""
 
     initial_std: Float[AnyArray, " m"]
     decay: Float[AnyArray, " m"]
     diffusion: Float[AnyArray, " m"]
     bias_gain: Float[AnyArray, " m"]
     rate_gain: Float[AnyArray, " m"]
+    sources: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def count(self) -> int:
         return self.decay.shape[0]
 
     def __add__(self, other: "Processes") -> "Processes":
-        names = (f.name for f in fields(self))
-        return Processes(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        both = zip(_numbers(self), _numbers(other), strict=True)
+        return Processes(*map(np.concatenate, both), sources=self.sources + other.sources)
 
 
-def _process(initial_std, decay, diffusion, bias_gain, rate_gain) -> Processes:
-    numbers = (initial_std, decay, diffusion, bias_gain, rate_gain)
-    return Processes(*(np.reshape(np.asarray(v, dtype=float), (1,)) for v in numbers))
+def _numbers(of: Processes) -> list[AnyArray]:
+    return [of.initial_std, of.decay, of.diffusion, of.bias_gain, of.rate_gain]
+
+
+def _process(source, *numbers) -> Processes:
+    return Processes(*(np.reshape(np.asarray(v, dtype=float), (1,)) for v in numbers), sources=(source,))
 
 
 def no_processes() -> Processes:
     """The empty set, to add to."""
-    return Processes(*(np.zeros(0) for _ in range(5)))
+    return Processes(*(np.zeros(0) for _ in range(5)), sources=())
 
 
-def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
+def gauss_markov(
+    standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0, source="bias instability"
+) -> Processes:
     """Stationary Gauss–Markov process: σ in rad/s (or 1, or K, by the gains), τ in s (`inf`: a constant)."""
     decay = 1.0 / np.asarray(correlation_time, dtype=float)
-    return _process(standard_deviation, decay, standard_deviation * np.sqrt(2.0 * decay), bias_gain, rate_gain)
+    diffusion = standard_deviation * np.sqrt(2.0 * decay)
+    return _process(source, standard_deviation, decay, diffusion, bias_gain, rate_gain)
 
 
 def rate_random_walk(coefficient) -> Processes:
     """Rate random walk K in rad/s/√s; it starts at zero, since its initial value is part of the bias."""
-    return _process(0.0, 0.0, coefficient, 1.0, 0.0)
+    return _process("rate random walk", 0.0, 0.0, coefficient, 1.0, 0.0)
 
 
-def constant(standard_deviation, *, bias_gain=0.0, rate_gain=0.0) -> Processes:
+def constant(standard_deviation, *, bias_gain=0.0, rate_gain=0.0, source="turn-on bias") -> Processes:
     """An error drawn once per run: turn-on bias (`bias_gain=1`, rad/s) or sample clock (`rate_gain=1`)."""
-    return _process(standard_deviation, 0.0, 0.0, bias_gain, rate_gain)
+    return _process(source, standard_deviation, 0.0, 0.0, bias_gain, rate_gain)

@@ -166,7 +166,9 @@ class Map(Term):
         """`(q, size)`: differences of neighbouring *reported* coefficients, along the axes that have neighbours."""
 
         def steps(basis: Basis) -> np.ndarray:
-            return np.diff(np.eye(basis.size), axis=0) if basis.has_neighbours else np.zeros((0, basis.size))
+            # Coefficients of B-splines belong to places.
+            count = basis.size if isinstance(basis, BSpline) else 1
+            return np.diff(np.eye(count, basis.size), axis=0)
 
         t, w = self.temperature, self.rate
         both = [np.kron(steps(t), np.eye(w.size)), np.kron(np.eye(t.size), steps(w))]
@@ -261,7 +263,6 @@ def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
 def _ordinal(basis: Basis, index: int) -> str:
     if isinstance(basis, Polynomial):
         return str(index)
-    assert isinstance(basis, BSpline)
     return f"_spline{index}" if basis.degree else f"_bin{index}"
 
 

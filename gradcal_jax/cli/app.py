@@ -3,7 +3,7 @@
 import contextlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import gradcal_jax
@@ -16,50 +16,33 @@ _HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, a
 
 A spec file describes sensor, rig and plan. Begin with `gradcal start`.
 """
-Command = tuple[str, str, str]
-GROUPS: Final[tuple[tuple[str, tuple[Command, ...]], ...]] = (
-    (
-        "Begin",
-        (
-            ("demo", "demo:demo", "Run the whole procedure in about a minute, on simulated devices."),
-            (
-                "start",
-                "start:start",
-                "Ask questions about sensor and rig, and write a spec, a rig file and a column map.",
-            ),
-            ("check", "check:check", "List all errors of a spec, or describe its plan; print a recipe as a table."),
-        ),
-    ),
-    (
-        "Predict the result, and find a plan",
-        (
-            ("predict", "predict:predict", "Predict the error that remains after the plan, for every requirement."),
-            ("optimise", "optimise:optimise", "Minimise this error, and write the new plan as a recipe."),
-            ("limit", "predict:limit", "Prove a lower limit for the error of all plans on this rig."),
-        ),
-    ),
-    (
-        "Execute a plan",
-        (
-            ("rig", "rig:rig_app", "Check the devices of a rig, or watch a run."),
-            ("run", "run:run", "Execute a recipe on a rig, or rehearse it on simulated devices."),
-            ("log", "log:log", "Write the log of a run: samples, angles, temperatures and standstills."),
-        ),
-    ),
-    (
-        "Calibrate",
-        (
-            ("estimate", "estimate:estimate", "Estimate a calibration from a log, and test the model of the spec."),
-            ("apply", "calibrated:apply", "Correct the rates and specific forces of a log with a calibration."),
-            ("validate", "calibrated:validate", "Test a calibration on a different log."),
-            ("export", "calibrated:export", "Write a calibration in the format of another program."),
-            ("report", "report:report", "Make one HTML page that describes a plan, a run or a calibration."),
-        ),
-    ),
-    ("Measure the noise of a sensor", (("noise", "noise:noise", "Print the noise of a record at rest."),)),
-    ("Compute many plans", (("sweep", "sweep:sweep", "Predict the plan of a spec for many values of its keys."),)),
-)
-"""The commands in the order of work, as `gradcal --help` lists them: name, place and purpose."""
+GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
+    "Begin": {
+        "demo:demo": "Run the whole procedure in about a minute, on simulated devices.",
+        "start:start": "Ask questions about sensor and rig, and write a spec, a rig file and a column map.",
+        "check:check": "List all errors of a spec, or describe its plan; print a recipe as a table.",
+    },
+    "Predict the result, and find a plan": {
+        "predict:predict": "Predict the error that remains after the plan, for every requirement.",
+        "optimise:optimise": "Minimise this error, and write the new plan as a recipe.",
+        "predict:limit": "Prove a lower limit for the error of all plans on this rig.",
+    },
+    "Execute a plan": {
+        "rig:rig_app": "Check the devices of a rig, or watch a run.",
+        "run:run": "Execute a recipe on a rig, or rehearse it on simulated devices.",
+        "log:log": "Write the log of a run: samples, angles, temperatures and standstills.",
+    },
+    "Calibrate": {
+        "estimate:estimate": "Estimate a calibration from a log, and test the model of the spec.",
+        "calibrated:apply": "Correct the rates and specific forces of a log with a calibration.",
+        "calibrated:validate": "Test a calibration on a different log.",
+        "calibrated:export": "Write a calibration in the format of another program.",
+        "report:report": "Make one HTML page that describes a plan, a run or a calibration.",
+    },
+    "Measure the noise of a sensor": {"noise:noise": "Print the noise of a record at rest."},
+    "Compute many plans": {"sweep:sweep": "Predict the plan of a spec for many values of its keys."},
+}
+"""The commands in the order of work, as `gradcal --help` lists them: the purpose of each, by module and name."""
 
 
 def build() -> "App":
@@ -75,11 +58,16 @@ def build() -> "App":
     )
     # Completion of commands and options by the tab key, for bash, zsh and fish.
     app.register_install_completion_command(add_to_startup=False)
-    for number, (title, commands) in enumerate(GROUPS):
+    for number, (title, commands) in enumerate(GROUPS.items()):
         group = Group(title, sort_key=number)
-        for name, place, _ in commands:
-            app.command(f"gradcal_jax.cli.{place}", name=name, group=group)
+        for place in commands:
+            app.command(f"gradcal_jax.cli.{place}", name=_name(place), group=group)
     return app
+
+
+def _name(place: str) -> str:
+    """The name of the command at a place."""
+    return place.partition(":")[2].removesuffix("_app")
 
 
 def _help() -> str:
@@ -87,8 +75,8 @@ def _help() -> str:
     lines = ["Usage: gradcal COMMAND", "", _HELP, "Commands:"]
     lines += ["  --help, -h: Display this message and exit.", "  --version: Display application version."]
     lines += ["  --install-completion: Install shell completion for this application."]
-    for title, commands in GROUPS:
-        lines += ["", f"{title}:", *(f"  {name}: {purpose}" for name, _, purpose in commands)]
+    for title, commands in GROUPS.items():
+        lines += ["", f"{title}:", *(f"  {_name(place)}: {purpose}" for place, purpose in commands.items())]
     lines += ["", "The options of a command: gradcal COMMAND --help"]
     return "\n".join(lines)
 

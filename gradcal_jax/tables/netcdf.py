@@ -127,25 +127,24 @@ class _Growing(FileIO):
 def _check(path: Path) -> None:
     """Raise `NetcdfError` for data in other files, and for sizes that the file cannot hold."""
     h5py: Any = import_module("h5py")
-    declared = 0
+    seen = declared = 0
     with h5py.File(path, "r") as file:
-        groups = [file]
-        seen = 0
-        while groups:
-            group = groups.pop()
-            for name in group:
-                seen += 1
-                if seen > _MOST_ENTRIES:
-                    raise NetcdfError(f"it has more than {_MOST_ENTRIES} entries")
-                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                    raise NetcdfError(f"its entry '{printable(name)}' is a link to another place")
-                entry = group[name]
-                if isinstance(entry, h5py.Group):
-                    groups.append(entry)
-                elif isinstance(entry, h5py.Dataset):
-                    if entry.external or entry.is_virtual:
-                        raise NetcdfError(f"the data of '{printable(name)}' are in another file")
-                    declared += entry.size * entry.dtype.itemsize if entry.shape is not None else 0
+
+        def fault(name: str, link: Any) -> str | None:
+            nonlocal seen, declared
+            seen += 1
+            if seen > _MOST_ENTRIES:
+                return f"it has more than {_MOST_ENTRIES} entries"
+            if not isinstance(link, h5py.HardLink):
+                return f"its entry '{printable(name)}' is a link to another place"
+            if isinstance(entry := file[name], h5py.Dataset):
+                if entry.external or entry.is_virtual:
+                    return f"the data of '{printable(name)}' are in another file"
+                declared += entry.size * entry.dtype.itemsize if entry.shape is not None else 0
+            return None
+
+        if (found := file.visititems_links(fault)) is not None:
+            raise NetcdfError(found)
     try:
         check_size(declared, path.stat().st_size)
     except ValueError as error:

@@ -48,17 +48,17 @@ class Table:
         is wrapped into further lines."""
         cells = [tuple(column.head for column in self.columns), *self.cells()]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        room = width - len(indent) - sum(widths[:-1]) - 2 * (len(widths) - 1)
         numeric, lines = self._numeric(), list[str]()
         for row in cells:
-            last = [row[-1]]
-            if len(row[-1]) > room >= _NARROWEST:
-                last = wrap(row[-1], room, break_long_words=False, break_on_hyphens=False)
-            for k, part in enumerate(last):
-                texts = [*(row[:-1] if k == 0 else [""] * (len(row) - 1)), part]
-                sized = zip(texts, widths, strict=True)
-                shown = [text.rjust(w) if i in numeric else text.ljust(w) for i, (text, w) in enumerate(sized)]
-                lines.append((indent + "  ".join(shown)).rstrip())
+            sized = enumerate(zip(row, widths, strict=True))
+            *before, last = (text.rjust(size) if i in numeric else text.ljust(size) for i, (text, size) in sized)
+            start = indent + "".join(f"{text}  " for text in before)
+            line = f"{start}{last}".rstrip()
+            if len(line) > width >= len(start) + _NARROWEST:
+                room = width - len(start)
+                parts = wrap(row[-1], room, break_long_words=False, break_on_hyphens=False)
+                line = start + f"\n{' ' * len(start)}".join(parts)
+            lines.append(line)
         return "\n".join(lines)
 
     def html(self) -> str:
@@ -85,12 +85,8 @@ class Table:
 
     def _numeric(self) -> tuple[int, ...]:
         """The columns of numbers."""
-        found: list[int] = []
-        for k in range(len(self.columns)):
-            kinds = {type(row[k]) for row in self.rows if row[k] is not None}
-            if kinds and kinds <= {float, int}:
-                found.append(k)
-        return tuple(found)
+        kinds = [{type(row[k]) for row in self.rows if row[k] is not None} for k in range(len(self.columns))]
+        return tuple(k for k, of in enumerate(kinds) if of and of <= {float, int})
 
 
 def shown(cell: Cell, digits: int = 4) -> str:

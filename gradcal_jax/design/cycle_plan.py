@@ -4,7 +4,6 @@ that controllers take."""
 import math
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from gradcal_jax.design.course import ProgrammeCoordinates
@@ -93,8 +92,6 @@ class CyclePlan:
         self.start = Proposal(turns, tuple(own.tolist()))
         self.value = PlanValue(exact, self._schedule, self.coordinates, self.course, spare, self._repeats, self.stands)
         self.descent = Descent(self.value)
-        # (One by one its operations would compile a dozen programs.)
-        self._decode = jax.jit(self.coordinates.decode)
 
     def _slots_for(self, turns: int) -> int:
         spare = math.ceil(turns * (1.0 + _SPARE) / _SLOTS) * _SLOTS
@@ -144,7 +141,9 @@ class CyclePlan:
     def at(self, point: np.ndarray, of: Structure) -> Proposal:
         """The proposal of such numbers."""
         count = 3 * self.coordinates.slots
-        decoded = self._decode(point[:count].reshape(3, -1), of)
+        # (What is not chosen may be a division by zero.)
+        with np.errstate(all="ignore"):
+            decoded = self.coordinates.decode(point[:count].reshape(3, -1), of)
         return Proposal(self.coordinates.cycle(decoded, of), tuple(point[count:].tolist()))
 
     def without_brief(self, of: Proposal) -> Proposal:

@@ -15,14 +15,13 @@ By pose a cycle returns to its begin, up to whole turns, and axes of limited tra
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, namespace
 
 # The shape of turns: the controllers' trapezoids, as steep as the axis allows.
 SHAPE = "linear ramps"
@@ -204,50 +203,50 @@ class CycleCoordinates(NamedTuple):
 
     def decode(self, z: Float[AnyArray, "3 K"], of: Structure) -> Decoded:
         """The cycle of coordinates."""
-        z, turns = z * self.units, of.axis >= 0
+        xp, z, turns = namespace(z, of), z * self.units, of.axis >= 0
         if self.timed:
-            least = jnp.where(turns, LEAST_TURN, 0.0)
+            least = xp.where(turns, LEAST_TURN, 0.0)
             left, (more, rest) = self._shared(least, z, of)
             turning = least + more
-            steepest = jnp.asarray(self.limits.accelerations)[jnp.maximum(of.axis, 0)]
-            fastest = jnp.minimum(jnp.asarray(self.limits.rates)[jnp.maximum(of.axis, 0)], 0.5 * steepest * turning)
-            rate = jnp.where(turns, fastest * jnp.tanh(z[1]), 0.0)
-            ramp = jnp.abs(rate) / steepest
+            steepest = xp.asarray(self.limits.accelerations)[xp.maximum(of.axis, 0)]
+            fastest = xp.minimum(xp.asarray(self.limits.rates)[xp.maximum(of.axis, 0)], 0.5 * steepest * turning)
+            rate = xp.where(turns, fastest * xp.tanh(z[1]), 0.0)
+            ramp = xp.abs(rate) / steepest
             return Decoded(rate * (turning - ramp), rate, ramp, turning, rest, left)
         angle, rate, ramp, turning = self._posed(z, of)
         left, (_, rest) = self._shared(turning, z, of)
         return Decoded(angle, rate, ramp, turning, rest, left)
 
-    def _shared(self, least: AnyArray, z: AnyArray, of: Structure) -> tuple[AnyArray, AnyArray]:
+    def _shared(self, least: AnyArray, z: AnyArray, of: Structure) -> tuple[Any, AnyArray]:
         """The time that is left in a visit beside turns that last at `least` so long (s), of the fullest one; and what
         turns by time get of it beyond that, and rests in all, `(2, K)`."""
-        group, shortest = self.visits.group, jnp.where(of.rests, self.limits.shortest, 0.0)
+        xp, group = namespace(z, of), self.visits.group
+        shortest = xp.where(of.rests, self.limits.shortest, 0.0)
         member = np.arange(self.visits.number)[:, None] == group[None]
-        left = self.visits.own - jnp.sum(jnp.where(member, (least + shortest)[None], 0.0), axis=1)
-        room = left if self.timed else _SOFT * jax.nn.softplus(left / _SOFT)
-        logits = jnp.stack(
-            [jnp.where((of.axis >= 0) & self.timed, z[0], -jnp.inf), jnp.where(of.rests, z[2], -jnp.inf)]
-        )
-        top = jnp.max(jnp.where(member[:, None], logits[None], -jnp.inf), axis=(1, 2))
-        weight = jnp.exp(logits - jnp.where(jnp.isfinite(top), top, 0.0)[group][None])
-        whole = jnp.sum(jnp.where(member[:, None], weight[None], 0.0), axis=(1, 2))
-        shared = (room / jnp.where(whole > 0.0, whole, 1.0))[group][None] * weight
-        return jnp.min(left), shared + jnp.stack([jnp.zeros_like(shortest), shortest])
+        left = self.visits.own - xp.sum(xp.where(member, (least + shortest)[None], 0.0), axis=1)
+        room = left if self.timed else _SOFT * xp.logaddexp(left / _SOFT, 0.0)
+        logits = xp.stack([xp.where((of.axis >= 0) & self.timed, z[0], -xp.inf), xp.where(of.rests, z[2], -xp.inf)])
+        top = xp.max(xp.where(member[:, None], logits[None], -xp.inf), axis=(1, 2))
+        weight = xp.exp(logits - xp.where(xp.isfinite(top), top, 0.0)[group][None])
+        whole = xp.sum(xp.where(member[:, None], weight[None], 0.0), axis=(1, 2))
+        shared = (room / xp.where(whole > 0.0, whole, 1.0))[group][None] * weight
+        return xp.min(left), shared + xp.stack([xp.zeros_like(shortest), shortest])
 
     def _posed(self, z: Float[AnyArray, "3 K"], of: Structure) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """Angles, peak rates, and times of the ramps and of the whole of turns by pose."""
-        limits, axis, turns = self.limits, jnp.maximum(of.axis, 0), of.axis >= 0
-        low, high = jnp.asarray(limits.reach)[axis].T
-        bounded = jnp.isfinite(high)
-        middle, half = jnp.where(bounded, 0.5 * (low + high), 0.0), jnp.where(bounded, 0.5 * (high - low), 0.0)
-        pose = jnp.where(bounded, middle + half * jnp.sin(z[0]), z[0])
-        begin = jnp.asarray(limits.start)[axis]
-        pose = jnp.where(of.closes, begin + jnp.asarray(of.whole)[axis], pose)
-        angle = jnp.where(turns, pose - jnp.where(of.before >= 0, pose[of.before], begin), 0.0)
-        size = jnp.sqrt(angle**2 + _TINY**2)
-        rate = jax.nn.sigmoid(z[1]) * self._fastest(size, axis, jnp)
-        ramp = jnp.where(turns, rate / jnp.asarray(limits.accelerations)[axis], 0.0)
-        return angle, rate * angle / size, ramp, jnp.where(turns, size / rate + ramp, 0.0)
+        xp, limits, turns = namespace(z, of), self.limits, of.axis >= 0
+        axis = xp.maximum(of.axis, 0)
+        low, high = xp.asarray(limits.reach)[axis].T
+        bounded = xp.isfinite(high)
+        middle, half = xp.where(bounded, 0.5 * (low + high), 0.0), xp.where(bounded, 0.5 * (high - low), 0.0)
+        pose = xp.where(bounded, middle + half * xp.sin(z[0]), z[0])
+        begin = xp.asarray(limits.start)[axis]
+        pose = xp.where(of.closes, begin + xp.asarray(of.whole)[axis], pose)
+        angle = xp.where(turns, pose - xp.where(of.before >= 0, pose[of.before], begin), 0.0)
+        size = xp.sqrt(angle**2 + _TINY**2)
+        rate = xp.exp(-xp.logaddexp(-z[1], 0.0)) * self._fastest(size, axis, xp)
+        ramp = xp.where(turns, rate / xp.asarray(limits.accelerations)[axis], 0.0)
+        return angle, rate * angle / size, ramp, xp.where(turns, size / rate + ramp, 0.0)
 
     def penalty(self, of: Decoded) -> AnyArray:
         """What a cycle beyond its limits adds to the objective."""

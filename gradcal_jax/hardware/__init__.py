@@ -9,7 +9,7 @@ A recipe and a rig file come in; a run's folder with its journal goes out, and e
     journal, run_folder, guard    what is recorded, resumed, and made safe by another process
     setup, roles, drivers         from the rig file to devices: `roles` is what the rest of the program sees
     line_protocol, register_protocol, frames, text_unit    devices that are described without code
-    transport, framing, checksums, request_reply, clock    bytes, messages, replies, time
+    transport, checksums, request_reply, clock    bytes, checks, replies, time
 
 `simulate` holds devices at the level of the roles; byte-exact peers of every protocol are in `tests/hardware`. No
 driver has been run on real hardware yet; each one's docstring names what its sources leave open.

@@ -42,6 +42,8 @@ AngleUnit = Annotated[q.Text, AfterValidator(_unit_of("angle"))]
 RateUnit = Annotated[q.Text, AfterValidator(_unit_of("angular rate"))]
 AngularAccelerationUnit = Annotated[q.Text, AfterValidator(_unit_of("angular acceleration"))]
 AccelerationUnit = Annotated[q.Text, AfterValidator(_unit_of("acceleration"))]
+Modulus = Annotated[int, Field(strict=True, ge=2, le=2**64)]
+"""The value at which a counter or a time restarts at 0."""
 
 
 class DeviceUnits(Section):

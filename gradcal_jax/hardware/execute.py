@@ -224,8 +224,8 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
     def end(number: int, frame: FrameType | None) -> None:
         runner.abort(CTRL_C if number == signal.SIGINT else signal.Signals(number).name)
 
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {getattr(signal, name): signal.signal(getattr(signal, name), end) for name in names}
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, end) for number in numbers}
     try:
         yield
     finally:

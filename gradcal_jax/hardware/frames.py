@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
-from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit, missing
+from gradcal_jax.hardware.description import (
+    AccelerationUnit,
+    DescribedSensor,
+    Modulus,
+    RateUnit,
+    TemperatureUnit,
+    missing,
+)
 from gradcal_jax.hardware.roles import Flags, Floats, ImuBatch, Integers, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.tables.problems import Problem
@@ -37,7 +44,6 @@ Type = Literal["u8", "i8", "u16", "i16", "i24", "u24", "i32", "u32", "u64", "f32
 Order = Literal["big", "little"]
 At = Annotated[int, Field(strict=True, ge=0, le=999)]
 Hex = Annotated[str, Field(strict=True, pattern=r"^([0-9A-Fa-f]{2}){1,16}$")]
-Modulus = Annotated[int, Field(strict=True, ge=2, le=2**64)]
 _BLOCK: Final = 1 << 14  # frames that are checked together
 
 

@@ -89,12 +89,11 @@ def config_of(device: Device | EncoderDevice, role: Role, place: Key) -> Any:
     """
     try:
         driver = driver_of(device.driver)
+        if driver is None or not _fits(driver, role):
+            fitting = driver_names(role)
+            raise ValueError(f"expected {one_of(fitting)}{hint(device.driver, fitting)}")
     except ValueError as problem:
         raise SpecError([Problem((*place, "driver"), str(problem), device.driver)]) from None
-    if driver is None or not _fits(driver, role):
-        fitting = driver_names(role)
-        ending = hint(device.driver, fitting)
-        raise SpecError([Problem((*place, "driver"), f"expected {one_of(fitting)}{ending}", device.driver)])
     place = (*place, "options")
     try:
         config: Any = driver.model_validate(device.options)

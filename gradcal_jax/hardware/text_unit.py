@@ -15,13 +15,12 @@ In `line` a field in braces is a number, `{}` a number and `{:text}` a text that
 
 import re
 from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from pydantic import Field
 
 from gradcal_jax.hardware.checksums import xor8
-from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit
+from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, Modulus, RateUnit, TemperatureUnit
 from gradcal_jax.hardware.roles import Floats, ImuBatch, join
 from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
 from gradcal_jax.hardware.templates import FIELD, reply_pattern
@@ -43,7 +42,7 @@ class SensorTime(Section):
 
     unit: Literal["s", "ms", "us"] = "s"
     """Unit of the time."""
-    modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    modulus: Modulus | None = None
     """Value at which the time restarts at 0; absent: it never restarts."""
 
 
@@ -60,7 +59,7 @@ class TextSensor(DescribedSensor):
     """Unit of accelerations."""
     temperature: TemperatureUnit = "degC"
     """Unit of temperatures."""
-    counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    counter: Modulus | None = None
     """Value at which the field `{count}` restarts at 0."""
     time: SensorTime = SensorTime()
     """Unit of the field `{time}`, and the value at which it restarts."""
@@ -148,6 +147,5 @@ class TextUnitDecoder(SampleDecoder):
         values: dict[str, Floats] = {}
         for name, fields in _FIELDS.items():
             numbers = np.stack([table[field] for field in fields], axis=1)
-            unit = self._unit.temperature if len(fields) == 1 else getattr(self._unit, name)
-            values[name] = np.repeat(converted(name, numbers, unit), 3 // len(fields), axis=1)
+            values[name] = np.repeat(converted(name, numbers, getattr(self._unit, name)), 3 // len(fields), axis=1)
         return self._batch(host_time_s, table[self._stamp], values, np.array(disturbed))

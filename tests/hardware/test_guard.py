@@ -37,7 +37,7 @@ from gradcal_jax.spec.rig import TEMPLATE
 from gradcal_jax.tables.writing import write_toml
 
 SPEED = 20.0
-SAFE = {"table": True, "chamber": True, "unit1": True}
+SAFE = {"table": True, "chamber": True, "imu1": True}
 
 
 @pytest.fixture

@@ -296,7 +296,7 @@ def lossy(rig):
 
 @pytest.mark.parametrize(
     ("mishap", "why", "last"),
-    [(sleeps(25.0), "late", False), (lossy, "samples", True), (lambda rig: rig.imu.reboot(), "unit1", False)],
+    [(sleeps(25.0), "late", False), (lossy, "samples", True), (lambda rig: rig.imu.reboot(), "imu1", False)],
     ids=["a host that slept", "lost samples", "a unit that restarted"],
 )
 def test_a_step_that_was_not_executed_as_written_is_made_again(tmp_path, mishap, why, last):
@@ -307,7 +307,7 @@ def test_a_step_that_was_not_executed_as_written_is_made_again(tmp_path, mishap,
     assert why in amiss.data["why"]
     assert (amiss.data["number"] == len(track.steps) - 1) == last
     assert amiss.data["step"] in [event.data["step"] for event in events(tmp_path, "seam")]
-    assert why == "unit1" or not more
+    assert why == "imu1" or not more
     was_executed(tmp_path)
 
 
@@ -341,8 +341,8 @@ def damaged(message):
     [
         (sleeps(8.0), False, 3, "late"),
         (freezes, True, 3, "the IMU's gyros measured"),
-        (spoils(lambda message: []), True, 0, "no sample from unit1"),
-        (spoils(damaged), True, 0, "no sample from unit1"),
+        (spoils(lambda message: []), True, 0, "no sample from imu1"),
+        (spoils(damaged), True, 0, "no sample from imu1"),
     ],
     ids=["a slow host", "a frozen unit", "no bytes", "bytes and no usable sample"],
 )
@@ -430,16 +430,16 @@ def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path, monkeypa
     with Journal(tmp_path / "journal") as written:
         written.event(0.0, "before")
         monkeypatch.setattr(os, call, stuck)
-        written.bytes_of("unit1", 1.0, b"a", received=True)
+        written.bytes_of("imu1", 1.0, b"a", received=True)
         assert began.wait(5.0)
-        written.bytes_of("unit1", 2.0, b"b", received=True)
+        written.bytes_of("imu1", 2.0, b"b", received=True)
         end = time.monotonic() + 5.0
         while not written.problem and time.monotonic() < end:
             time.sleep(0.05)
         hangs.set()
         assert "the disk has not answered" in written.problem
     # What came before that was noticed is not lost if the disk answers again.
-    assert [chunk.data for chunk in chunks_of(read_journal(tmp_path / "journal"), "unit1")] == [b"a", b"b"]
+    assert [chunk.data for chunk in chunks_of(read_journal(tmp_path / "journal"), "imu1")] == [b"a", b"b"]
 
 
 def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_path, monkeypatch):

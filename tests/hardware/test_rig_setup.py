@@ -57,7 +57,7 @@ protocol = "stim301"
             "axis[0].gravity_loaded",
         ),
         (("/dev/ttyUSB2", "/dev/ttyUSB0"), "two devices use this port"),
-        (('name   = "unit1"', 'name   = "table"'), "two devices have this name"),
+        (('name   = "imu1"', 'name   = "table"'), "two devices have this name"),
         (("gradcal-rig/1", "gradcal-spec/1"), 'expected "gradcal-rig/1"'),
         (('safe    = "standby"', 'saff    = "standby"'), 'nearest: "safe"'),
     ],

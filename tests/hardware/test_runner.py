@@ -59,12 +59,12 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
         assert rig.chamber.mode == "STANDBY"
         assert rig.rate_dps() == 0.0
         assert shown[-1].step == "ramp"
-        decoder = runner.bench.imus["unit1"].decoder()
+        decoder = runner.bench.imus["imu1"].decoder()
     contents = read_journal(tmp_path / "journal")
     assert contents.damaged_bytes == 0
     assert states(tmp_path) == ["running", "stopping", "safe"]
     assert contents.events[-1].data["exit_status"] == "success"
-    assert [event.data["device"] for event in events(tmp_path, "identity")] == ["table", "chamber", "unit1"]
+    assert [event.data["device"] for event in events(tmp_path, "identity")] == ["table", "chamber", "imu1"]
     # The moves began when the track says, after the temperature had become stable.
     _, ramp = events(tmp_path, "step begins")
     moves = [event.time_s - ramp.time_s for event in events(tmp_path, "move")]
@@ -76,7 +76,7 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
     assert [event.data["number"] for event in done] == [0, 1]
     assert done[0].time_s >= events(tmp_path, "step")[1].time_s + 0.1 + 0.2
     # What the unit measured between two standstills is the angle between the encoder's readings, but for its error.
-    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, "unit1")])
+    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, "imu1")])
     assert np.all(samples.gap_before[1:] == 0)
     clock = fit_arrivals(*last_of_chunks(samples.device_time_s, samples.host_time_s))
     assert clock.rate - 1.0 == pytest.approx(-80e-6, abs=3e-5)
@@ -134,8 +134,8 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run():
         (lambda rig: rig.chamber.raise_alarm(18), "chamber reports alarm 18", set()),
         (lambda rig: setattr(rig.table, "_state", "Alarm"), "axis table: Alarm", set()),
         (lambda rig: rig.table.hard_limit(), "did not answer", {"table"}),
-        (lambda rig: rig.ports[2].unplug(), "unit1: The port", set()),
-        (lambda rig: setattr(rig.ports[2], "faults", Faults(mute=True)), "no sample from unit1", set()),
+        (lambda rig: rig.ports[2].unplug(), "imu1: The port", set()),
+        (lambda rig: setattr(rig.ports[2], "faults", Faults(mute=True)), "no sample from imu1", set()),
         (lambda rig: rig.ports[0].unplug(), "The port", {"chamber"}),
     ],
     ids=["alarm", "fault", "mute board", "unit", "silent unit", "chamber"],

@@ -79,7 +79,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path, c
     assert (result.exit_status, result.verified_safe) == ("success", True)
     last = read_status(run.path)
     assert (last["exit_status"], last["state"], last["simulated"]) == ("success", "safe", True)
-    samples, lost = last["samples"]["unit1"]
+    samples, lost = last["samples"]["imu1"]
     assert (samples > 1000, lost) == (True, 0)
     running = [status for status in seen if status["state"] == "running"]
     assert any(status["course_c"] and status["chamber"]["air_c"] > 24.5 for status in running)

@@ -69,7 +69,7 @@ def session(
     records: list[Event | Chunk] = [
         *happened,
         Event(start_s, "session", begun),
-        Event(start_s, "configuration", {"device": "unit1", "registers": {}}),
+        Event(start_s, "configuration", {"device": "imu1", "registers": {}}),
         Event(start_s + 4.0, "step begins", {"step": "turns", "number": 0, "begins_s": start_s + 4.0, "data": True}),
         Event(start_s + end_s, "ending", {"exit_status": "success"}),
     ]
@@ -97,7 +97,7 @@ def session(
         data = lost(burst, b"".join(unit.emit(now)))
         for place in range(0, len(data), READ_BYTES):
             in_hand_s = max(now + late_s(burst) + place // READ_BYTES * piece_s, in_hand_s + 1e-6)
-            records.append(Chunk(in_hand_s, "unit1", True, data[place : place + READ_BYTES]))
+            records.append(Chunk(in_hand_s, "imu1", True, data[place : place + READ_BYTES]))
     return sorted(records, key=lambda record: record.time_s)
 
 

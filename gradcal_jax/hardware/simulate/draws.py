@@ -107,7 +107,8 @@ class _TriadDraws:
     def _error(self, name: str, section: Any, typical: float) -> ErrorTerm:
         of_t, of_rate, symbol = section.temperature, getattr(section, "rate", None), _SYMBOLS[name]
         basis, count = (None, 1) if of_t is None else (of_t.values, of_t.size)
-        size = np.array(typical if section.prior is None else section.prior, float)
+        # A list of priors counts as a flat one.
+        size = float(section.prior) if isinstance(section.prior, float) else typical
         # A gyro's coefficients over temperature are numbered also where there is one.
         numbered = count > 1 or of_rate is not None or (self.kind, name) == ("gyro", "bias")
         factors = FACTORS[name]
@@ -115,8 +116,7 @@ class _TriadDraws:
             powers = all(isinstance(of, PolynomialKeys) for of in (of_t, of_rate)) and max(count, of_rate.size) <= 10
             symbols = [f"b{_ordinal(of_rate, j)}{'' if powers else '_'}" for j in range(of_rate.size)]
             factors = rate_functions(of_rate.values)
-            size = size.reshape(-1, of_rate.size) if size.ndim else size
-            values = (size * self.random.standard_normal((3, count, of_rate.size))).swapaxes(1, 2)
+            values = size * self.random.standard_normal((3, count, of_rate.size)).swapaxes(1, 2)
         else:
             symbols = [symbol + axis for axis in _XYZ] if symbol.endswith("_") else [symbol]
             values = size * self.random.standard_normal((3, len(symbols), count))

@@ -74,8 +74,8 @@ def certificate_part(sources: Sources, rig: RigFile | None, words: Mapping[str, 
                     "This document claims no accreditation. It may be copied only as a whole.",
                     "Date and signature: ______________________________"]),
     ]  # fmt: skip
-    number = stated["certificate number"] or NOT_STATED
-    return PagePart(f"Calibration certificate {number}", [section for section in sections if not section.is_empty])
+    title = " ".join(filter(None, ("Calibration certificate", words.get("number"))))
+    return PagePart(title, [section for section in sections if not section.is_empty])
 
 
 def _budgets(sources: Sources, calibration: Calibration) -> Iterator[Table]:

@@ -64,7 +64,7 @@ def _draw_grid(ax: Any, results: "xarray.Dataset", name: str) -> None:
     ax.set_ylabel(f"{about['requirement']}: {about['statistic']} (1σ), {about['units']}")
     if results[across].attrs.get("spacing") == "logarithmic":
         ax.set_xscale("log")
-    ax.set_ylim(bottom=0.0)
+    ax.set_ylim(0.0, 1.08 * ax.get_ylim()[1])  # (a level curve is not at the edge)
 
 
 def _of_axis(results: "xarray.Dataset", name: str) -> list[str]:

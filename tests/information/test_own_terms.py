@@ -87,7 +87,7 @@ def test_an_estimate_finds_its_parameter(axis):
     for one in corrected[1:]:
         np.testing.assert_array_equal(one.log.rate_rad_per_s, corrected[0].log.rate_rad_per_s)
     (note,) = (note for note in gj.export(calibration, "csv").notes if "decay" in note)
-    assert note.endswith(", is lost")
+    assert note.endswith(": the target has no place for it")
 
 
 @pytest.mark.parametrize(

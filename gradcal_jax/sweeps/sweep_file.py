@@ -134,7 +134,7 @@ class SweptAxis(Section):
             return float(value)
         if self.unit is None:
             return None
-        return float(f"{units.parse_in(value, self.unit):.12g}")
+        return float(f"{units.to_unit(units.parse(value, units.dimension_of(self.unit)), self.unit):.12g}")
 
 
 class SweepFile(TitledFile):

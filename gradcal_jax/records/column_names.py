@@ -7,7 +7,6 @@ are read by one table. A unit of one or two letters counts only where it is of t
 import contextlib
 import re
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -200,7 +199,7 @@ def _read(name: str) -> tuple[str | None, str, str | None]:
 def _header(path: Path) -> tuple[Sequence[str], str | None]:
     """The names of the columns, and their delimiter."""
     with path.open(encoding="utf-8-sig") as lines:
-        begin = [line[:2000].lstrip("# ").strip() for line in islice(lines, 60)]
+        begin = [lines.readline(2000).lstrip("# ").strip() for _ in range(60)]
     for line in begin:
         for delimiter, mark in ((";", ";"), ("tab", "\t"), (",", ","), ("whitespace", None)):
             names = [name.strip().strip('"') for name in line.split(mark)]

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ from gradcal_jax.tables.sizes import check_size
 Array = NDArray[Any]
 # Lines that are searched for rows of several sensors, and for a header.
 _LOOKED_AT, _PREAMBLE = 200, 500
+# Characters of a line: thousands of columns fit in, and a disk's zeros after a loss of power do not.
+_LONGEST_LINE = 1_000_000
 # More values than this number and share of a column that cannot be read are no damaged numbers.
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
@@ -106,6 +108,13 @@ def read_table(path: Path, columns: ColumnMap) -> FileTable:
         return FileTable(_READERS[kind](path, {one.column for one in (*columns.sources(), *columns.wheres())}))
 
 
+def _lines_of(file: TextIO) -> Iterator[str]:
+    while line := file.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise LogError(f"a line is longer than {_LONGEST_LINE} characters: it is no table of text, or is damaged")
+        yield line
+
+
 class _Lines:
     """Lines as a file to read."""
 
@@ -127,7 +136,8 @@ def _read_text(path: Path, columns: ColumnMap) -> FileTable:
     if any(source.index is not None for source in columns.sources()):
         raise LogError("in a text table, a column has no index: give only the name or number of the column")
     try:
-        with path.open(encoding=layout.encoding) as lines:
+        with path.open(encoding=layout.encoding) as file:
+            lines = _lines_of(file)
             begin = list(itertools.islice(lines, layout.skip, layout.skip + _PREAMBLE))
             above, header = _header(begin, wanted, layout) if layout.header else (0, list[str]())
             places = {one: _place(one, header, layout) for one in wanted}

@@ -1,5 +1,6 @@
 """Files of many layouts become the log that their numbers say, or a sentence."""
 
+import os
 import warnings
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from gradcal_jax.records.column_names import EXAMPLE
+from gradcal_jax.records.column_names import EXAMPLE, map_to_fill_in
 from gradcal_jax.records.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.records.log import LogError
 from gradcal_jax.tables.problems import SpecError
@@ -91,6 +92,17 @@ def test_the_conversion_that_a_message_states_gives_the_record(tmp_path, monkeyp
         exec(program, {"pd": pd, "file": path, "column": "t"})
     log = import_log(path.with_suffix(".csv"), PLAIN.replace('"ms"', '"s"'))
     assert log.time_s.tolist() == list(range(9))
+
+
+@pytest.mark.parametrize("begin", ["", "t,gx\n" + "0,1\n" * 600])
+def test_zeros_of_a_disk_are_not_read_into_memory(tmp_path, begin):
+    """4 GB of zero bytes, as a loss of power leaves them."""
+    path = tmp_path / "a.csv"
+    path.write_text(begin, encoding="utf-8")
+    os.truncate(path, 4 << 30)
+    with pytest.raises(LogError, match="a line is longer than 1000000 characters"):
+        import_log(path, PLAIN)
+    assert bool(map_to_fill_in(path)) == bool(begin)
 
 
 def test_rows_are_chosen_before_anything_is_judged(tmp_path):

@@ -89,15 +89,16 @@ def optimise(
     return done
 
 
-def search_and_watch(spec: "Spec", **options: Any) -> tuple["Optimised", bool]:
-    """The best plan, with a line of progress; and whether Ctrl-C ended the search. `options`: of
-    `design.optimise.run_search`."""
+def search_and_watch(spec: "Spec", *, steps: int | None, until_met: bool) -> tuple["Optimised", bool]:
+    """The best plan, with a line of progress; and whether Ctrl-C ended the search; options as
+    of `design.optimise.run_search`."""
     from gradcal_jax.design.optimise import Optimised, run_search
 
     best: Optimised | None = None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
-        line.show("compiling the objective and its gradient: 10 to 30 s")
-        for event in run_search(spec, stop=lambda: interrupt.asked, **options):
+        compiling = "compiling the objective and its gradient: 10 to 30 s"
+        line.show(f"checking the targets; for a search, {compiling}" if until_met else compiling)
+        for event in run_search(spec, steps=steps, until_met=until_met, stop=lambda: interrupt.asked):
             if isinstance(event, Optimised):
                 best = event
                 continue

@@ -95,7 +95,8 @@ def summary_of(results: "xarray.Dataset") -> Table:
             places = {axis: results[axis].values[at[results[axis].dims[0]]] for axis in results.coords}
             where = [f"{axis} {v:.6g}" if isinstance(v, np.floating) else f"{axis} {v}" for axis, v in places.items()]
             sizes = (float(of(values)) for of in (np.nanmin, np.nanmedian, np.nanmax))
-            met = int(np.count_nonzero(results[about["verdict"]].values == "met"))
+            verdicts = Counter(results[about["verdict"]].values.ravel())
+            met = verdicts["met"] if {"met", "missed"} & verdicts.keys() else None  # without a target
             name = f"{about['requirement']}, {about['statistic']}"
             rows.append((name, *sizes, str(about["units"]), met, ", ".join(where)))
     return Table.of(["residual (1σ)", "least", "median", "most", "unit", "met", "least at"], rows)

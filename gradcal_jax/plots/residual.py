@@ -6,11 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.information.residual import ResidualMap
-from gradcal_jax.plots.style import COLOUR_MAP, new_axes, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, new_axes, plain_logarithmic, style_of
 
 # Residuals that differ by more than this are shown on logarithmic scales.
 LOGARITHMIC = 4.0
@@ -60,9 +59,7 @@ def draw_curves(
     seen = seen[np.isfinite(seen) & (seen > 0.0)]
     if len(seen) and seen.max() > LOGARITHMIC * seen.min():
         ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
-        ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(FuncFormatter(tick_text))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        plain_logarithmic(ax.yaxis)
     elif len(seen):
         ax.set_ylim(0.0, 1.08 * seen.max())
     many = len(boxes) > _LONG_LEGEND
@@ -80,8 +77,3 @@ def boxes_of(left: ResidualMap, label: str = "") -> list[tuple[str, Box]]:
         )
         for element, values in zip(left.labels, left.values, strict=True)
     ]
-
-
-def tick_text(value: float, _place: int) -> str:
-    """A number at an axis, without powers of ten."""
-    return f"{value:.4g}" if value < 1e4 else f"{value:.0f}"

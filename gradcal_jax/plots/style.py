@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gradcal_jax.tables.writing import whole
 
@@ -34,6 +36,18 @@ def draw_band(
     (line,) = ax.plot(x, value, label=label, **style_of(index))
     ax.fill_between(x, value - std, value + std, alpha=alpha, color=PALETTE[index % len(PALETTE)])
     return line
+
+
+def plain_logarithmic(axis: Axis) -> None:
+    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis, without powers of ten."""
+    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(tick_text))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def tick_text(value: float, _place: int) -> str:
+    """A number at an axis, without powers of ten."""
+    return f"{value:.4g}" if value < 1e4 else f"{value:.0f}"
 
 
 def new_panels(

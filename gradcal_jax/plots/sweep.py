@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 
 from gradcal_jax.information.sensitivity import Sensitivities
-from gradcal_jax.plots.style import new_panels, style_of
+from gradcal_jax.plots.style import new_panels, plain_logarithmic, style_of
 
 if TYPE_CHECKING:
     import xarray
@@ -64,6 +64,7 @@ def _draw_grid(ax: Any, results: "xarray.Dataset", name: str) -> None:
     ax.set_ylabel(f"{about['requirement']}: {about['statistic']} (1σ), {about['units']}")
     if results[across].attrs.get("spacing") == "logarithmic":
         ax.set_xscale("log")
+        plain_logarithmic(ax.xaxis)
     ax.set_ylim(0.0, 1.08 * ax.get_ylim()[1])  # (a level curve is not at the edge)
 
 

@@ -29,13 +29,14 @@ def amount(value: float | None, unit: str) -> str:
 
 
 def _fitted(lines: Sequence[str]) -> list[str]:
-    lines = [_cut(line) for text in lines for line in text.split("\n")]
+    lines = [cut(line) for text in lines for line in text.split("\n")]
     if len(lines) > LINES:
         lines = [*lines[: LINES - 1], f"… {len(lines) - LINES + 1} more lines"]
     return lines
 
 
-def _cut(text: str, width: int = WIDTH) -> str:
+def cut(text: str, width: int = WIDTH) -> str:
+    """The text, of at most `width` letters."""
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
@@ -72,7 +73,7 @@ def _brief(value: Any) -> str:
     if isinstance(value, Mapping | Sequence) and not isinstance(value, str | bytes):
         if len(value) > _FEW:
             return f"{len(value)} entries"
-        return _cut(f"({', '.join(_brief(entry) for entry in value)})")
+        return cut(f"({', '.join(_brief(entry) for entry in value)})")
     if value is None or isinstance(value, bool | int | complex | bytes | str):
-        return _cut(repr(value))
+        return cut(repr(value))
     return getattr(value, "name", None) or getattr(value, "__qualname__", None) or type(value).__name__

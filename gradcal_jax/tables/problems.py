@@ -1,13 +1,14 @@
 """Problems of a file: all at once, each with its key, its value and the expected value."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, cast
+from typing import Final
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from gradcal_jax.tables.display import cut
 from gradcal_jax.units.spelling import nearest
 
 Key = tuple[str | int, ...]
@@ -37,22 +38,15 @@ class Problem:
     value: object = ABSENT
     kind: str = "value"
 
-    @property
-    def dotted(self) -> str:
-        """The key as text: ``plan.cycle.moves[2].peak_rate``."""
-        return dotted(self.key)
-
     def under(self, *prefix: str | int) -> "Problem":
         """The same problem, with its key relative to an outer table."""
         return replace(self, key=(*prefix, *self.key))
 
     def __str__(self) -> str:
-        where = self.dotted if len(self.dotted) <= _LONGEST else self.dotted[: _LONGEST - 1] + "…"
-        if not where:
-            return self.message
-        if isinstance(self.value, _Absent):
-            return f"{where}: {self.message}"
-        return f"{where} = {shown(self.value)}: {self.message}"
+        where = cut(dotted(self.key), _LONGEST)
+        if where and self.value is not ABSENT:
+            where += f" = {shown(self.value)}"
+        return f"{where}: {self.message}" if where else self.message
 
 
 class SpecError(ValueError):
@@ -63,15 +57,14 @@ class SpecError(ValueError):
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "") -> None:
-        unique: dict[str, Problem] = {}
-        for problem in problems:
-            unique.setdefault(str(problem), problem)
-        self.problems: tuple[Problem, ...] = tuple(unique.values())
-        self.source = source
-        count, text = len(unique), next(iter(unique), "")
+        unique = {str(problem): problem for problem in problems}
+        self.problems = tuple(unique.values())
+        count, lines = len(unique), list(unique)
         if count != 1:
-            more = [f"… and {count - _MOST} more"] if count > _MOST else []
-            text = "\n  ".join([f"{count} problems", *list(unique)[:_MOST], *more])
+            lines = [f"{count} problems", *lines[:_MOST]]
+        if count > _MOST:
+            lines.append(f"… and {count - _MOST} more")
+        text = "\n  ".join(lines)
         super().__init__(f"{source}: {text}" if source else text)
 
 
@@ -81,19 +74,6 @@ def dotted(key: Key) -> str:
     for part in key:
         text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
     return text
-
-
-def leaves(value: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
-    """Every value in tables and lists that is neither, with its key."""
-    if isinstance(value, Mapping):
-        entries: Iterable[tuple[str | int, object]] = cast("Mapping[str, object]", value).items()
-    elif isinstance(value, list):
-        entries = enumerate(cast("list[object]", value))
-    else:
-        yield key, value
-        return
-    for name, entry in entries:
-        yield from leaves(entry, (*key, name))
 
 
 def split_key(text: str) -> Key:
@@ -115,7 +95,7 @@ def shown(value: object) -> str:
         text = '"' + "".join(c if c.isprintable() else "?" for c in value) + '"'
     else:
         text = str(value)
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
+    return cut(text, _SHOWN)
 
 
 def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:
@@ -139,8 +119,8 @@ def instead(word: str, known: Iterable[str]) -> str:
 
 def one_of(known: Iterable[str]) -> str:
     """``"a", "b" or "c"``."""
-    names = [f'"{name}"' for name in known]
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " or " + names[-1]
+    *most, last = (f'"{name}"' for name in known)
+    return ", ".join(most) + " or " * bool(most) + last
 
 
 def from_validation(error: ValidationError) -> list[Problem]:

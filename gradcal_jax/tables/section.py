@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,13 +24,7 @@ from pydantic_core import CoreSchema, core_schema
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, nearest, one_of
 
-_NAMES_OF_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
-
-
-@cache
-def _checks(kind: type[BaseModel]) -> list[Callable[[Any], Iterable[Problem]]]:
-    """What a class and its bases ask of the keys of a table, bases first."""
-    return [vars(of)["_problems"] for of in reversed(kind.__mro__) if "_problems" in vars(of)]
+_NAMES_OF_PYDANTIC = {name for name in dir(BaseModel) if not name.startswith("_")}
 
 
 class Section(BaseModel):
@@ -54,7 +49,8 @@ class Section(BaseModel):
             section = handler(value)
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
-        refuse(*(problem for check in _checks(cast("type[BaseModel]", type(section))) for problem in check(section)))
+        checks: list[Any] = [vars(kind).get("_problems") for kind in reversed(type(section).__mro__)]
+        refuse(*(problem for check in filter(None, checks) for problem in check(section)))
         return section
 
     def _problems(self) -> Iterable[Problem]:
@@ -74,45 +70,45 @@ class Section(BaseModel):
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
     """The meaning of each key of a table: the texts below the fields, or their descriptions."""
+    owners = [owner for owner in model.__mro__ if issubclass(owner, Section)]
     texts: dict[str, str] = {}
-    for owner in reversed(model.__mro__):
-        texts |= _texts(owner.__module__).get(owner.__qualname__, {}) if issubclass(owner, Section) else {}
-    return {name: text for name, field in model.model_fields.items() if (text := texts.get(name) or field.description)}
+    for name, field in model.model_fields.items():
+        of_owners = (_texts(owner.__module__).get((owner.__name__, name)) for owner in owners)
+        if text := next(filter(None, of_owners), field.description):
+            texts[name] = text
+    return texts
 
 
 @cache
-def _texts(module: str) -> dict[str, dict[str, str]]:
+def _texts(module: str) -> dict[tuple[str, str], str]:
     """The texts by class and field, from the source; pydantic would read every file again for each class, at import."""
-    tree = ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8"))
-    return {
-        table.name: {
-            field.target.id: " ".join(below.value.value.split())
-            for field, below in zip(table.body, table.body[1:], strict=False)
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-            if isinstance(below.value.value, str)
-        }
-        for table in tree.body
-        if isinstance(table, ast.ClassDef)
-    }
+    texts: dict[tuple[str, str], str] = {}
+    for table in ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8")).body:
+        for pair in pairwise(table.body) if isinstance(table, ast.ClassDef) else ():
+            match pair:
+                case ast.AnnAssign(target=ast.Name(id=field)), ast.Expr(value=ast.Constant(value=str(text))):
+                    texts[table.name, field] = " ".join(text.split())
+                case _:
+                    pass
+    return texts
 
 
 def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: object) -> list[Problem]:
     """Add the nearest right spelling to unknown keys, and drop "missing" where a misspelt key stands for it."""
     known = list(model.model_fields)
     free = [name for name in known if not isinstance(value, Mapping) or name not in value]
-    meant: set[str | int] = set()
+    meant: set[tuple[str | int | None, ...]] = set()
     spelt: list[Problem] = []
     for problem in problems:
-        key, ending = problem.key[0] if len(problem.key) == 1 else 0, ""
-        if problem.kind == "unknown" and key:
-            close = nearest(str(key), free) or nearest(str(key), known)
-            ending = f"; known here: {', '.join(known)}" if close is None else f'; nearest: "{close}"'
-            meant.add(close or "")
-        elif problem.kind == "missing" and (meaning := meanings(model).get(str(key), "")):
+        name, ending = str(problem.key[0]) if len(problem.key) == 1 else "", ""
+        if name and problem.kind == "unknown":
+            close = nearest(name, free) or nearest(name, known)
+            ending = f'; nearest: "{close}"' if close else f"; known here: {', '.join(known)}"
+            meant.add((close,))
+        elif name and problem.kind == "missing" and (meaning := meanings(model).get(name)):
             ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})"
         spelt.append(replace(problem, message=problem.message + ending))
-    return [p for p in spelt if p.kind != "missing" or not meant.intersection(p.key[:1]) or len(p.key) > 1]
+    return [problem for problem in spelt if problem.kind != "missing" or problem.key not in meant]
 
 
 class OneOrMore:
@@ -138,7 +134,7 @@ def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | Non
             refuse_misspelt(table, [key])
             refuse(Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing"))
         if not isinstance(name, str) or name not in classes:
-            raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
+            refuse(Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name))
         return classes[name]
 
     return _chosen(kind_of)

@@ -47,34 +47,32 @@ class Table:
         """For a terminal: aligned columns, with numbers at the right; a last column of several words that is too wide
         is wrapped into further lines."""
         cells = [tuple(column.head for column in self.columns), *self.cells()]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        numeric, lines = self._numeric(), list[str]()
-        for row in cells:
-            sized = enumerate(zip(row, widths, strict=True))
-            *before, last = (text.rjust(size) if i in numeric else text.ljust(size) for i, (text, size) in sized)
+        columns: list[list[str]] = []
+        for texts, numeric in zip(zip(*cells, strict=True), self._numeric(), strict=True):
+            size = max(map(len, texts))
+            columns.append([text.rjust(size) if numeric else text.ljust(size) for text in texts])
+        lines: list[str] = []
+        for *before, last in zip(*columns, strict=True):
             start = indent + "".join(f"{text}  " for text in before)
             line = f"{start}{last}".rstrip()
             if len(line) > width >= len(start) + _NARROWEST:
-                room = width - len(start)
-                parts = wrap(row[-1], room, break_long_words=False, break_on_hyphens=False)
-                line = start + f"\n{' ' * len(start)}".join(parts)
+                indents = {"initial_indent": start, "subsequent_indent": " " * len(start)}
+                line = "\n".join(wrap(last.strip(), width, **indents, break_long_words=False, break_on_hyphens=False))
             lines.append(line)
         return "\n".join(lines)
 
     def html(self) -> str:
         """For a page; on a narrow screen, each cell has the name of its column before it."""
         heads = [escape(column.head) for column in self.columns]
-        numeric = self._numeric()
-        marks = [' class="number"' if k in numeric else "" for k in range(len(heads))]
+        marks = [' class="number"' if numeric else "" for numeric in self._numeric()]
         lines = ["<table><thead><tr>"]
         lines += [f'<th scope="col"{mark}>{head}</th>' for mark, head in zip(marks, heads, strict=True)]
         lines.append("</tr></thead><tbody>")
         for row in self.cells():
-            parts = zip(marks, heads, row, strict=True)
-            cells = [f'<td data-label="{head}"{mark}><span>{escape(cell)}</span></td>' for mark, head, cell in parts]
+            parts = zip(heads, marks, row, strict=True)
+            cells = [f'<td data-label="{head}"{mark}><span>{escape(cell)}</span></td>' for head, mark, cell in parts]
             lines.append(f"<tr>{''.join(cells)}</tr>")
-        lines.append("</tbody></table>")
-        return "\n".join(lines)
+        return "\n".join([*lines, "</tbody></table>"])
 
     _repr_html_ = html
 
@@ -83,10 +81,10 @@ class Table:
         names = [column.name for column in self.columns]
         return [dict(zip(names, row, strict=True)) for row in self.rows]
 
-    def _numeric(self) -> tuple[int, ...]:
-        """The columns of numbers."""
+    def _numeric(self) -> list[bool]:
+        """Whether each column has only numbers."""
         kinds = [{type(row[k]) for row in self.rows if row[k] is not None} for k in range(len(self.columns))]
-        return tuple(k for k, of in enumerate(kinds) if of and of <= {float, int})
+        return [set() < kind <= {float, int} for kind in kinds]
 
 
 def shown(cell: Cell, digits: int = 4) -> str:

@@ -66,25 +66,22 @@ def whole(path: str | Path) -> Generator[Path]:
 
 def _lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """The lines of a table: TOML requires its own keys before its subtables."""
-    own = {name: value for name, value in table.items() if not _opens(value)}
-    for name, value in own.items():
-        yield f"{_key(name)} = {_text(value)}"
+    below = {name: value for name, value in table.items() if _opens(value)}
     for name, value in table.items():
-        if name in own:
-            continue
-        below = f"{path}{_key(name)}"
-        head = f"[[{below}]]" if isinstance(value, list) else f"[{below}]"
-        entries = cast("list[Any]", value) if isinstance(value, list) else [value]
-        for entry in entries:
-            yield from ("", head, *_lines(entry, f"{below}."))
+        if name not in below:
+            yield f"{_key(name)} = {_text(value)}"
+    for name, value in below.items():
+        place = f"{path}{_key(name)}"
+        listed = isinstance(value, list)
+        for entry in cast("list[Any]", value) if listed else [value]:
+            yield from ("", f"[[{place}]]" if listed else f"[{place}]", *_lines(entry, f"{place}."))
 
 
 def _opens(value: Any) -> bool:
     """Whether a value is a table, or a list of tables, too long for a line each."""
-    if isinstance(value, Mapping):
-        return len(_text(value)) > _INLINE
-    entries = cast("list[Any]", value) if isinstance(value, list) else []
-    return any(_opens(entry) for entry in entries if isinstance(entry, Mapping))
+    if isinstance(value, list):
+        return any(isinstance(entry, Mapping) and _opens(entry) for entry in cast("list[Any]", value))
+    return isinstance(value, Mapping) and len(_text(value)) > _INLINE
 
 
 def _key(name: str) -> str:
@@ -95,13 +92,15 @@ def _text(value: Any) -> str:
     """A value in TOML, on one line but for a long list of tables."""
     if isinstance(value, Mapping):
         table = cast("Mapping[str, Any]", value)
-        entries = sorted(table.items(), key=lambda entry: entry[0] in _TRAILING)
-        return "{ " + ", ".join(f"{_key(name)} = {_text(entry)}" for name, entry in entries) + " }"
+        names = sorted(table, key=_TRAILING.__contains__)
+        return "{ " + ", ".join(f"{_key(name)} = {_text(table[name])}" for name in names) + " }"
     if isinstance(value, list):
-        rows = [_text(entry) for entry in cast("list[Any]", value)]
-        tables = any(isinstance(entry, Mapping) for entry in cast("list[Any]", value))
+        entries = cast("list[Any]", value)
+        rows = [_text(entry) for entry in entries]
         line = f"[{', '.join(rows)}]"
-        return "[\n  " + ",\n  ".join(rows) + ",\n]" if tables and len(line) > _INLINE else line
+        if len(line) > _INLINE and any(isinstance(entry, Mapping) for entry in entries):
+            line = "[\n  " + ",\n  ".join(rows) + ",\n]"
+        return line
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -38,12 +38,17 @@ class Problem:
     value: object = ABSENT
     kind: str = "value"
 
+    @property
+    def dotted(self) -> str:
+        """The key as text: ``plan.cycle.moves[2].peak_rate``."""
+        return dotted(self.key)
+
     def under(self, *prefix: str | int) -> "Problem":
         """The same problem, with its key relative to an outer table."""
         return replace(self, key=(*prefix, *self.key))
 
     def __str__(self) -> str:
-        where = cut(dotted(self.key), _LONGEST)
+        where = cut(self.dotted, _LONGEST)
         if where and self.value is not ABSENT:
             where += f" = {shown(self.value)}"
         return f"{where}: {self.message}" if where else self.message

@@ -147,7 +147,7 @@ def _rows(calibration: Calibration) -> list[dict[str, str]]:
             lag = 0.0 if term.temperature is None else float(channel.thermal_lag or 0.0)
             row = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals), "unit": term.unit}
             for key in ("temperature", "rate"):
-                keys = term.model_dump(mode="json")[key] or {}
+                keys: dict[str, Any] = term.model_dump(mode="json")[key] or {}
                 row[f"{key}_basis"] = "; ".join(f"{k}={v}" for k, v in keys.items())
             for name, value in term.coefficients.items():
                 own = {"name": name, "value": repr(value), "std": std.get(f"{channel.name}.{name}", "")}

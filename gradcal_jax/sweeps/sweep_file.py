@@ -128,8 +128,9 @@ class SweptAxis(Section):
         `UnitError` for another unit."""
         if isinstance(value, str) and self.unit is not None:
             return float(f"{units.to_unit(units.parse(value, units.dimension_of(self.unit)), self.unit):.12g}")
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
-        return float(value) if plain else None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return None
+        return float(value)
 
 
 class SweepFile(TitledFile):

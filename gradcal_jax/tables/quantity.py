@@ -42,8 +42,8 @@ class Quantity(float):
         text = units.format_quantity(value, unit)
         return cls(value, text, units.dimension_of(unit))
 
-    def __getnewargs__(self) -> tuple[float, str, str]:
-        return float(self), self.text, self.dimension
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), (float(self), self.text, self.dimension))
 
     def __repr__(self) -> str:
         return f"Quantity({float(self)!r}, {self.text!r})"

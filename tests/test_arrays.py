@@ -6,8 +6,9 @@ import pickle
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from gradcal_jax.arrays import PytreeModule, once, running_sum
+from gradcal_jax.arrays import PytreeModule, once, put, running_sum, summed, taken
 
 
 def test_a_running_sum_is_right_to_its_last_digit_after_many_additions():
@@ -42,3 +43,27 @@ def test_a_result_of_numbers_is_kept_and_a_traced_one_is_not():
     for _ in range(2):
         assert float(jax.jit(lambda x: (traced.total() * x).sum())(2.0)) == 12.0
     np.testing.assert_array_equal(traced.total(), [3.0, 3.0])
+
+
+ROWS = np.array([[0, 6, -1], [3, 3, 2]])
+SELECTIONS = {
+    "some rows twice": (lambda x: taken(x, ROWS), lambda x: x[ROWS]),
+    "no rows": (lambda x: taken(x, np.zeros(0, int)), lambda x: x[:0]),
+    "one row often": (lambda x: taken(x, np.zeros(400, int)), lambda x: x[np.zeros(400, int)]),
+    "sums": (lambda x: summed(x, np.array([0, 1, 5])), lambda x: jnp.stack([x[0], x[1:5].sum(0), x[5:].sum(0)])),
+    "rows put": (lambda x: put(x, np.array([4, 1]), x[:2]), lambda x: x.at[np.array([4, 1])].set(x[:2])),
+}
+
+
+@pytest.mark.parametrize("name", SELECTIONS)
+def test_known_selections_of_rows_have_the_derivatives_and_batches_of_jax(name):
+    ours, plain = SELECTIONS[name]
+    ours, plain = jax.jit(ours), jax.jit(plain)
+    x = jnp.asarray(np.random.default_rng(0).standard_normal((7, 3)))
+    np.testing.assert_array_equal(ours(x), plain(x))
+    curved = [jax.hessian(lambda v, of=of: jnp.sum(jnp.sin(of(jnp.cos(v))) ** 2)) for of in (ours, plain)]
+    np.testing.assert_allclose(*(jax.jit(of)(x) for of in curved), rtol=1e-12, atol=1e-12)
+    many = jnp.stack([x, 2.0 * x])
+    for axis in range(3):
+        batch = jnp.moveaxis(many, 0, axis)
+        np.testing.assert_array_equal(jax.vmap(ours, axis)(batch), jax.vmap(plain, axis)(batch))

@@ -261,3 +261,17 @@ def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path):
             sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
         )
         path.unlink()
+
+
+def test_a_killed_process_loses_only_what_came_just_before(tmp_path):
+    path = tmp_path / "j"
+    program = (
+        "import os, sys, pathlib, time; from gradcal_jax.hardware.journal import Journal\n"
+        "journal = Journal(pathlib.Path(sys.argv[1]))\n"
+        "journal.bytes_of('unit', 0.0, b'old', received=True); time.sleep(0.5)\n"
+        "journal.bytes_of('unit', 0.5, b'new', received=True); os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+    contents = read_journal(path)
+    assert chunks_of(contents, "unit")[0].data == b"old"
+    assert contents.damaged_bytes == 0

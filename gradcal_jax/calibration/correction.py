@@ -13,7 +13,7 @@ thermometers stay, and are named. Lags begin in equilibrium.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from gradcal_jax.calibration.file import (
     build_term,
     term_values,
 )
-from gradcal_jax.records.log import Bools, Floats, Log, LogError
+from gradcal_jax.records.log import Bools, Floats, Log, LogError, variables_of
 from gradcal_jax.spec.bases import SplineKeys
 from gradcal_jax.tables.display import summary
 
@@ -126,8 +126,7 @@ def correct(
     inverted.
     """
     of_each = [followed] * len(channels) if isinstance(followed, np.ndarray) else followed
-    inputs = list(readings)
-    result = np.stack([readings[name] for name in inputs])
+    inputs, result = list(readings), np.stack(list(readings.values()))
     for begin in range(0, result.shape[1], _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         slope = {} if temperature_rate is None else {TEMPERATURE_RATE: temperature_rate[rows]}
@@ -247,7 +246,7 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     names = {channel.name for channel in channels}
     left_in = [f"{one.channel}.{one.name}" for one in calibration.path if one.channel in names and one not in gradients]
     result = replace(
-        _of_unit(log, number, {**columns, **done}),
+        _of_unit(log, number, done),
         simulated=log.simulated or calibration.simulated,
         provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
     )
@@ -256,17 +255,16 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
 
 
 def _of_unit(log: Log, number: int, channels: Mapping[str, Floats]) -> Log:
-    """The log of one unit, with these rates and specific forces."""
-    rates = [channels[f"gyro {axis}"] for axis in log.axes]
-    forces = [channels[f"accelerometer {axis}"] for axis in log.force_axes]
-    return replace(
-        log,
-        rate_rad_per_s=np.stack(rates, axis=1)[None] if rates else log.rate_rad_per_s[[number]],
-        specific_force_m_per_s2=np.stack(forces, axis=1)[None] if forces else None,
-        units=(log.units[number],),
-        temperature_c=None if log.temperature_c is None else log.temperature_c[[number]],
-        status=None if log.status is None else log.status[[number]],
-    )
+    """The log of one unit, with these rates and specific forces in place of its own."""
+    parts: dict[str, Any] = {"units": (log.units[number],)}
+    for name, variable in variables_of(Log).items():
+        if "unit" in variable.dimensions and (values := getattr(log, name)) is not None:
+            parts[name] = values[[number]]
+    result = replace(log, **parts)
+    of_unit = result.channels()
+    for label, values in channels.items():
+        of_unit[label][:] = values  # (a copy of the log's)
+    return result
 
 
 def _input(label: str) -> str:

@@ -53,7 +53,8 @@ def export(
     """
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
-    named = calibration if target in ("c-header", "csv", "template") else _in_triad(calibration)
+    whole = target in ("c-header", "csv") or (target == "template" and temperature_c is None)
+    named = calibration if whole else _in_triad(calibration)
     done = FORMATS[target](named, ExportOptions(temperature_c, instance, device_id, template))
     losses = [] if done.corrected is None else losses_of(named, done.inputs, done.corrected)
     path = [f"{one.label}, {one.value:.3g} {one.unit}: the target has no place for it" for one in calibration.path]
@@ -107,7 +108,7 @@ def _template(calibration: Calibration, options: ExportOptions) -> Target:
         raise ValueError(
             "the template is missing: name it with --template; gradcal start export-gains -o gains.j2 writes one"
         )
-    noise = {} if calibration.noise is None else dict(calibration.noise)
+    noise = dict(calibration.noise or ())
     low, high = map(float, calibration.valid_temperature)
     values: dict[str, Any] = {
         "serial_number": calibration.serial_number,
@@ -124,7 +125,6 @@ def _template(calibration: Calibration, options: ExportOptions) -> Target:
         return Target(rendered(template, values), None, ("what the template does not use is lost, and not listed",))
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
-    calibration = _in_triad(calibration)
     known = {channel.label for channel in calibration.channel}
     absent = [label for kind in ("gyro", "accelerometer") for a in "xyz" if (label := f"{kind} {a}") not in known]
     notes = [f"not calibrated, so assumed to be without errors: {', '.join(absent)}"] if absent else []
@@ -140,19 +140,18 @@ def _template(calibration: Calibration, options: ExportOptions) -> Target:
 
 def _rows(calibration: Calibration) -> list[dict[str, str]]:
     """A row for each coefficient, all in text: its term, value, standard deviation and bases."""
-    std = calibration.deviations()
+    std = {name: repr(value) for name, value in calibration.deviations().items()}
     rows: list[dict[str, str]] = []
     for channel in calibration.channel:
         for term in channel.term:
-            lag = float(channel.thermal_lag or 0.0) if term.temperature is not None else 0.0
+            lag = 0.0 if term.temperature is None else float(channel.thermal_lag or 0.0)
             row = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals), "unit": term.unit}
-            for key, basis in (("temperature_basis", term.temperature), ("rate_basis", term.rate)):
-                keys = {} if basis is None else basis.model_dump(mode="json")
-                row[key] = "; ".join(f"{k}={v}" for k, v in keys.items())
+            for key in ("temperature", "rate"):
+                keys: dict[str, Any] = term.model_dump(mode="json")[key] or {}
+                row[f"{key}_basis"] = "; ".join(f"{k}={v}" for k, v in keys.items())
             for name, value in term.coefficients.items():
-                own = std.get(f"{channel.name}.{name}")
-                of = {"name": name, "value": repr(value), "std": "" if own is None else repr(own), "lag_s": repr(lag)}
-                rows.append(row | of)
+                own = {"name": name, "value": repr(value), "std": std.get(f"{channel.name}.{name}", "")}
+                rows.append(row | own | {"lag_s": repr(lag)})
     return rows
 
 

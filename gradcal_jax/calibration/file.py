@@ -62,26 +62,18 @@ class CalibratedTerm(Section):
     """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
 
     def _problems(self) -> Iterator[Problem]:
-        if len(self.coefficients) != self.size:
-            message = f"expected {self.size} coefficients, one for each function of the bases"
+        sizes = [basis.size for basis in (self.temperature, self.rate) if basis is not None]
+        functions = list(itertools.product(*map(range, sizes)))
+        if len(self.coefficients) != len(functions):
+            message = f"expected {len(functions)} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
-        elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
-            functions = itertools.product(*(range(basis.size) for basis in self._bases))
+        elif self.name in ("bias", "scale_factor") and self.temperature is not None and len(functions) > 1:
             for name, function in zip(self.coefficients, functions, strict=True):
                 if function_of(name) != function:
                     place = " and ".join(map(str, function))
                     message = f"expected here the coefficient that multiplies function {place} of temperature and rate"
                     yield Problem(("coefficients", name), message)
                     break
-
-    @property
-    def _bases(self) -> list[TemperatureBasis | RateBasis]:
-        return [basis for basis in (self.temperature, self.rate) if basis is not None]
-
-    @property
-    def size(self) -> int:
-        """Number of its functions."""
-        return math.prod(basis.size for basis in self._bases)
 
 
 class PathCoefficient(Section):
@@ -168,7 +160,7 @@ class CalibratedChannel(Section):
 
 
 def common_span(spans: Iterable[tuple[q.Quantity, q.Quantity]]) -> tuple[q.Quantity, q.Quantity]:
-    """What all ranges have in common."""
+    """The part that all ranges have in common."""
     lows, highs = zip(*spans, strict=True)
     return max(lows), min(highs)
 
@@ -332,8 +324,9 @@ class Calibration(TitledFile):
 
     def deviations(self) -> dict[str, float]:
         """One sigma by the fit of every coefficient that has one."""
-        known = self.covariance
-        return {} if known is None else {name: math.sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
+        if (known := self.covariance) is None:
+            return {}
+        return {name: math.sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
 
     @property
     def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:

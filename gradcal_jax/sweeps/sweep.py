@@ -269,31 +269,27 @@ def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xar
         column = np.array([*map(str, axis.listed())] if words else numbers, dtype=object if words else float)
         coordinates[name] = ((name,), column, attributes)
 
-    def add(name: str, key: str, **attributes: str) -> None:
+    def add(name: str, key: str, words: str, **attributes: str) -> None:
         column = [record.get(key) for record in records]
         text = any(isinstance(value, str) for value in column)
         values = np.array([v or "" for v in column] if text else column, dtype=object if text else float)
-        variables[name] = (dims, values.reshape(shape), attributes)
+        variables[name] = (dims, values.reshape(shape), {"long_name": words} | attributes)
 
     for k, requirement in enumerate(job.base.requirement):
         name, quantity = variable_name(requirement.name), requirement.quantity
         name = f"{name}_{k}" if f"{name}_verdict" in variables else name
         same = {"units": UNIT_OF[quantity][0], "requirement": requirement.name, "verdict": f"{name}_verdict"}
         what = f"{requirement.name}: residual {quantity.replace('_', ' ')}, 1 sigma"
-        judged = {
-            "statistic": requirement.statistic,
-            "decisive": "yes",
-            "long_name": f"{what}, as the verdict counts it",
-        }
-        add(f"{name}_residual", f"{k} residual", **same, **judged)
+        judged = same | {"statistic": requirement.statistic, "decisive": "yes"}
+        add(f"{name}_residual", f"{k} residual", f"{what}, as the verdict counts it", **judged)
         for statistic in STATISTICS:
             if statistic != "mean of max" or quantity == "gyro_scale_factor":
-                own = {"statistic": statistic, "long_name": f"{what}, {statistic}, by the terms of the file alone"}
-                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own)
-        add(f"{name}_verdict", f"{k} verdict", long_name=f"{requirement.name}: verdict, if there is a target")
+                words = f"{what}, {statistic}, by the terms of the file alone"
+                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", words, **same, statistic=statistic)
+        add(f"{name}_verdict", f"{k} verdict", f"{requirement.name}: verdict, if there is a target")
     for key, (unit, what) in _VARIABLES.items():
         if any(key in record for record in records):
-            add(key, key, long_name=what, **({"units": unit} if unit else {}))
+            add(key, key, what, **({"units": unit} if unit else {}))
     failed = sum(bool(record["failure"]) for record in records)
     attributes = {
         "format": FORMAT,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -84,14 +84,12 @@ class SweptAxis(Section):
     def changes(self) -> tuple[str, ...]:
         """The keys of the spec that this axis sets."""
         one = self.key or self.section
-        return self.keys if self.keys is not None else (() if one is None else (one,))
+        return self.keys or (() if one is None else (one,))
 
     @property
     def label(self) -> str:
         """What the axis is called in the results: its name, or the last word of its key."""
-        if self.name is not None:
-            return self.name
-        return next(part for part in reversed(split_key(self.changes[0])) if isinstance(part, str))
+        return self.name or next(part for part in reversed(split_key(self.changes[0])) if isinstance(part, str))
 
     @property
     def unit(self) -> str | None:
@@ -104,12 +102,12 @@ class SweptAxis(Section):
         except ValueError:
             return None
 
-    def _ends(self) -> list[float]:
+    def _ends(self) -> tuple[float, float]:
         """Start and stop as numbers in `unit`. Errors: `ValueError` for others."""
-        ends = [self.number_of(end) for end in (self.start, self.stop)]
-        if None in ends or isinstance(self.start, str) != isinstance(self.stop, str):
+        low, high = self.number_of(self.start), self.number_of(self.stop)
+        if low is None or high is None or isinstance(self.start, str) != isinstance(self.stop, str):
             raise ValueError("start and stop must both be texts with a unit, or both plain numbers")
-        return cast("list[float]", ends)
+        return low, high
 
     def listed(self) -> tuple[object, ...]:
         """All values of the axis, as the spec's file holds them, to twelve digits: what is swept can be written again
@@ -128,13 +126,11 @@ class SweptAxis(Section):
     def number_of(self, value: object) -> float | None:
         """A value in the axis's unit: 60 for "60 deg/s", whatever its SI value rounds to; None for words. Errors:
         `UnitError` for another unit."""
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
+        if isinstance(value, str) and self.unit is not None:
+            return float(f"{units.to_unit(units.parse(value, units.dimension_of(self.unit)), self.unit):.12g}")
+        if isinstance(value, bool) or not isinstance(value, int | float):
             return None
-        if not isinstance(value, str):
-            return float(value)
-        if self.unit is None:
-            return None
-        return float(f"{units.to_unit(units.parse(value, units.dimension_of(self.unit)), self.unit):.12g}")
+        return float(value)
 
 
 class SweepFile(TitledFile):
@@ -199,8 +195,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
         for name in axis.values or ()
     }
     try:
-        if file.change:
-            base = changed(base, file.change)
+        base = changed(base, file.change)
         for axis in file.axis:
             if axis.section is None:
                 _known(axis, base)

@@ -1,7 +1,6 @@
 """How objects show themselves: as `repr` at most 15 lines of 80 columns. Imports nothing that takes time, and
 computes nothing."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 from unicodedata import category
@@ -54,11 +53,9 @@ def _listing(value: object) -> list[str]:
 
 def _fields(value: Any) -> dict[str, Any]:
     """The public fields of a named tuple, a dataclass or a model that are not empty; of a model those that were set."""
-    if dataclasses.is_dataclass(value):
-        names = [field.name for field in dataclasses.fields(value)]
-    else:
-        kind: Any = type(value)
-        names = getattr(kind, "_fields", None) or [name for name in kind.model_fields if name in value.model_fields_set]
+    kind: Any = type(value)
+    names = getattr(kind, "__dataclass_fields__", None) or getattr(kind, "_fields", None)
+    names = names or [name for name in kind.model_fields if name in value.model_fields_set]
     entries = {name: getattr(value, name) for name in names if not name.startswith("_")}
     empty = (None, "", (), [], {})
     return {name: entry for name, entry in entries.items() if hasattr(entry, "shape") or entry not in empty}

@@ -1,8 +1,7 @@
 """JSON Schema of every file and contract, by name."""
 
-from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, Final, cast, get_args
+from typing import Any, Final, get_args
 
 from pydantic.json_schema import GenerateJsonSchema
 
@@ -11,17 +10,17 @@ from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.section import Section
 
 # By module and class, so that a program that reads specs does not load the importers of logs.
-_MODELS: Final[Mapping[str, tuple[str, str]]] = {
-    "spec": ("spec.spec_sections", "Spec"),
-    "rig": ("spec.rig", "RigFile"),
-    "lines": ("hardware.line_protocol", "LineProtocol"),
-    "registers": ("hardware.register_protocol", "RegisterProtocol"),
-    "text": ("hardware.text_unit", "TextSensor"),
-    "prediction": ("tables.contracts", "Prediction"),
-    "columns": ("records.column_map", "ColumnMap"),
-    "calibration": ("calibration.file", "Calibration"),
-    "recipe": ("recipe.recipe", "Recipe"),
-    "sweep": ("sweeps.sweep_file", "SweepFile"),
+_MODELS: Final = {
+    "spec": "spec.spec_sections.Spec",
+    "rig": "spec.rig.RigFile",
+    "lines": "hardware.line_protocol.LineProtocol",
+    "registers": "hardware.register_protocol.RegisterProtocol",
+    "text": "hardware.text_unit.TextSensor",
+    "prediction": "tables.contracts.Prediction",
+    "columns": "records.column_map.ColumnMap",
+    "calibration": "calibration.file.Calibration",
+    "recipe": "recipe.recipe.Recipe",
+    "sweep": "sweeps.sweep_file.SweepFile",
 }
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -46,8 +45,8 @@ def schema(name: str) -> dict[str, Any]:
     if name not in _MODELS:
         ending = hint(name, _MODELS, f"; known: {', '.join(_MODELS)}")
         raise ValueError(f'there is no file or contract named "{name}"{ending}')
-    module, model = _MODELS[name]
-    section = cast("type[Section]", getattr(import_module(f"gradcal_jax.{module}"), model))
+    module, _, model = _MODELS[name].rpartition(".")
+    section: type[Section] = getattr(import_module(f"gradcal_jax.{module}"), model)
     body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
     (version,) = get_args(section.model_fields["format"].annotation)
     return {"$schema": _DIALECT, "$id": version, **body}

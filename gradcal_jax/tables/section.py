@@ -84,12 +84,13 @@ def _texts(module: str) -> dict[tuple[str, str], str]:
     """The texts by class and field, from the source; pydantic would read every file again for each class, at import."""
     texts: dict[tuple[str, str], str] = {}
     for table in ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8")).body:
-        for pair in pairwise(table.body) if isinstance(table, ast.ClassDef) else ():
-            match pair:
-                case ast.AnnAssign(target=ast.Name(id=field)), ast.Expr(value=ast.Constant(value=str(text))):
-                    texts[table.name, field] = " ".join(text.split())
-                case _:
-                    pass
+        if isinstance(table, ast.ClassDef):
+            for pair in pairwise(table.body):
+                match pair:
+                    case ast.AnnAssign(target=ast.Name(id=field)), ast.Expr(value=ast.Constant(value=str(text))):
+                        texts[table.name, field] = " ".join(text.split())
+                    case _:
+                        pass
     return texts
 
 
@@ -134,7 +135,7 @@ def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | Non
             refuse_misspelt(table, [key])
             refuse(Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing"))
         if not isinstance(name, str) or name not in classes:
-            refuse(Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name))
+            raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
         return classes[name]
 
     return _chosen(kind_of)

@@ -56,8 +56,8 @@ class Table:
             start = indent + "".join(f"{text}  " for text in before)
             line = f"{start}{last}".rstrip()
             if len(line) > width >= len(start) + _NARROWEST:
-                indents = {"initial_indent": start, "subsequent_indent": " " * len(start)}
-                line = "\n".join(wrap(last.strip(), width, **indents, break_long_words=False, break_on_hyphens=False))
+                parts = wrap(last.strip(), width - len(start), break_long_words=False, break_on_hyphens=False)
+                line = start + f"\n{' ' * len(start)}".join(parts)
             lines.append(line)
         return "\n".join(lines)
 

@@ -8,14 +8,15 @@ function takes arrays with `__array_namespace__` and works elementwise, with one
 
     rate(u) = Σ_m c_m f_m(u),   f = 1, u, u², u³, cos πu, sin πu, cos 2πu, sin 4πu, sin 6πu, sin 8πu
 
-so a piece is ten numbers, its angle is a closed form, and shapes mix in one array without branches. `shape_pieces`
-gives the pieces of each named shape for unit peak rate.
+so a piece is one number for each of these terms (`MOTION_TERMS`), its angle is a closed form, and shapes mix in one
+array without branches. `shape_pieces` gives the pieces of each named shape for unit peak rate.
 """
 
+from collections import namedtuple
 from importlib import import_module
 from itertools import pairwise
 from math import exp, expm1, floor, pi
-from typing import Any
+from typing import Any, NamedTuple
 
 Array = Any
 EARTH_RATE = 7.292115e-5
@@ -111,7 +112,8 @@ def play_states(temperature: Array, width: float | Array) -> Clamps:
 
 # --- motion -----------------------------------------------------------------------------------------------------------
 
-MOTION_TERMS = ("1", "u", "u^2", "u^3", "cos pi u", "sin pi u", "cos 2 pi u", "sin 4 pi u", "sin 6 pi u", "sin 8 pi u")
+MOTION_TERMS = ("u0", "u1", "u2", "u3", "cos1", "sin1", "cos2", "sin4", "sin6", "sin8")
+"""Powers of u, and waves by their number of half periods."""
 
 
 def _waves(u: Array) -> tuple[Array, ...]:
@@ -124,14 +126,14 @@ def _waves(u: Array) -> tuple[Array, ...]:
 
 
 def motion_rate(u: Array) -> Array:
-    """The motion family at the fraction `u` of a piece, `(...) -> (..., 10)`."""
+    """The motion family at the fraction `u` of a piece, `(...) -> (..., terms)`."""
     xp = u.__array_namespace__()
     s1, c1, _, c2, s4, _, s6, _, s8, _ = _waves(u)
     return xp.stack([xp.ones_like(u), u, u * u, u * u * u, c1, s1, c2, s4, s6, s8], axis=-1)
 
 
 def motion_angle(u: Array) -> Array:
-    """Integral of the motion family from 0 to `u`, `(...) -> (..., 10)`; times the duration it is an angle."""
+    """Integral of the motion family from 0 to `u`, `(...) -> (..., terms)`; times the duration it is an angle."""
     xp = u.__array_namespace__()
     s1, c1, s2, c2, s4, *_ = _waves(u)
     powers = [u, u * u / 2, u * u * u / 3, u * u * u * u / 4]
@@ -141,42 +143,43 @@ def motion_angle(u: Array) -> Array:
     return xp.stack([*powers, *waves], axis=-1)
 
 
-def _terms(**terms: float) -> tuple[float, ...]:
-    names = ("one", "u", "u2", "u3", "cos1", "sin1", "cos2", "sin4", "sin6", "sin8")
-    return tuple(terms.get(name, 0.0) for name in names)
+class Ramps(NamedTuple):
+    """A turn with two equal ramps and a constant rate between them: the terms of the rate on the first ramp, `rising`
+    from 0 to 1 with the mean 1/2 (on the second ramp the rate is 1 less of it); and `steepness`, the peak acceleration
+    times the ramp's duration over the peak rate."""
+
+    rising: tuple[float, ...]
+    steepness: float
 
 
-CONSTANT = _terms(one=1.0)
-_COSINE_UP, _COSINE_DOWN = _terms(one=0.5, cos1=-0.5), _terms(one=0.5, cos1=0.5)
-_LINEAR_UP, _LINEAR_DOWN = _terms(u=1.0), _terms(one=1.0, u=-1.0)
-
-SHAPES = ("cosine ramps", "linear ramps", "hand")
-
-
-def _uneven(unevenness: float) -> tuple[float, ...]:
-    """½(1 − cos 2πu)(1 + e·sin 6πu), expanded: a turn by hand with alternating rates."""
-    e = unevenness
-    return _terms(one=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4)
+_terms = namedtuple("_terms", MOTION_TERMS, defaults=[0.0] * len(MOTION_TERMS))
+CONSTANT = _terms(u0=1.0)
+RAMPS = {
+    "cosine ramps": Ramps(_terms(u0=0.5, cos1=-0.5), pi / 2),
+    "linear ramps": Ramps(_terms(u1=1.0), 1.0),
+}
+"""A shape with ramps needs nothing but its row here."""
+SHAPES = (*RAMPS, "hand")
 
 
-def shape_pieces(
-    shape: str, *, unevenness: float = 0.0, stands: bool = False
-) -> list[tuple[str, float, tuple[float, ...]]]:
-    """The smooth pieces of a shape for unit peak rate, as `(what, share, coefficients)`.
+def shape_pieces(shape: str, *, unevenness: float = 0.0, stands: bool = False) -> list[tuple[str, tuple[float, ...]]]:
+    """The smooth pieces of a shape for unit peak rate, as `(what, coefficients)`.
 
-    `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave), "turn" (likewise, of a rate that varies)
-    or "share" (that share of the whole duration). `stands`: a turn by hand that stands for the ramp time before and
-    after turning. Errors: `ValueError` for an unknown shape.
+    `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave) or "turn" (likewise, of a rate that
+    varies). `stands`: a turn by hand that stands for the ramp time before and after turning. Errors: `ValueError` for
+    an unknown shape.
     """
-    if shape == "cosine ramps":
-        return [("ramp", 1.0, _COSINE_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _COSINE_DOWN)]
-    if shape == "linear ramps":
-        return [("ramp", 1.0, _LINEAR_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _LINEAR_DOWN)]
-    if shape == "hand" and stands:
-        return [("ramp", 1.0, _terms()), ("turn", 1.0, _uneven(unevenness)), ("ramp", 1.0, _terms())]
-    if shape == "hand":
-        return [("share", 1.0, _uneven(unevenness))]
-    raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
+    if shape in RAMPS:
+        rising = RAMPS[shape].rising
+        falling = tuple(whole - part for whole, part in zip(CONSTANT, rising, strict=True))
+        return [("ramp", rising), ("flat", CONSTANT), ("ramp", falling)]
+    if shape != "hand":
+        raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
+    # ½(1 − cos 2πu)(1 + e·sin 6πu), expanded: alternating rates.
+    e = unevenness
+    turn = ("turn", _terms(u0=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4))
+    still = ("ramp", _terms())
+    return [still, turn, still] if stands else [turn]
 
 
 def repetitions(duration: float, own: float, period: float) -> tuple[int, float]:

@@ -3,7 +3,7 @@
 from gradcal_jax.recipe.recipe import Recipe, RecipeOrigin, fingerprint_of
 from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.recipe.tracks import Stability
-from gradcal_jax.tables.contracts import Prediction
+from gradcal_jax.spec.contracts import Prediction
 
 
 def made_of(spec, stability=None, **keys):

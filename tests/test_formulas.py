@@ -40,8 +40,12 @@ def test_bins_divide_the_line():
     np.testing.assert_array_equal(values.sum(1), 1.0)
 
 
-def test_the_angle_is_the_integral_of_the_rate():
-    for k in range(len(formulas.MOTION_TERMS)):
+def test_terms_are_what_their_names_say_and_the_angle_is_the_integral_of_the_rate():
+    u = np.linspace(0.0, 1.0, 7)
+    for k, name in enumerate(formulas.MOTION_TERMS):
+        kind, n = name[:-1], int(name[-1])
+        wanted = {"u": u**n, "cos": np.cos(n * np.pi * u), "sin": np.sin(n * np.pi * u)}[kind]
+        np.testing.assert_allclose(formulas.motion_rate(u)[:, k], wanted, atol=1e-14)
         for end in (0.3, 1.0):
             wanted = quad(lambda u, k=k: formulas.motion_rate(np.array(u))[k], 0.0, end, epsabs=1e-14)[0]
             assert formulas.motion_angle(np.array(end))[k] == pytest.approx(wanted, abs=1e-13)
@@ -56,11 +60,10 @@ ACTS = [
 
 @pytest.mark.parametrize("act", ACTS, ids=lambda a: a.shape)
 def test_pieces_are_the_shape(act):
-    lasting = {"ramp": act.ramp, "flat": act.duration - 2 * act.ramp}
     begin, angle = 0.0, 0.0
     pieces = formulas.shape_pieces(act.shape, unevenness=act.unevenness)
-    for what, share, terms in pieces:
-        duration = lasting.get(what, share * act.duration)
+    for what, terms in pieces:
+        duration = act.ramp if what == "ramp" else act.duration - 2 * act.ramp
         u = np.linspace(0.0, 1.0, 11)
         result = act.peak * formulas.motion_rate(u) @ np.array(terms)
         np.testing.assert_allclose(result, textbook_rate(act, begin + u * duration), atol=1e-12)

@@ -150,7 +150,7 @@ def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, 
 def text_of_estimate(report: "SensorEstimate") -> str:
     """An estimate in words: requirements, coefficients, errors of the table, tests."""
     from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path
-    from gradcal_jax.tables.contracts import outcomes
+    from gradcal_jax.spec.contracts import outcomes
 
     calibration, solution, left = report.calibration, report.solution, abs(report.solution.residuals)
     counts = ", ".join(f"{count} {reason}" for reason, count in report.counts.items())

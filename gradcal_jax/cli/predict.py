@@ -10,8 +10,8 @@ from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
+    from gradcal_jax.spec.contracts import Prediction
     from gradcal_jax.spec.spec_sections import Spec
-    from gradcal_jax.tables.contracts import Prediction
 
 
 def predict(
@@ -72,7 +72,7 @@ def predict(
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction in about ten lines: requirement, residual (1σ), target, verdict, and what limits it."""
-    from gradcal_jax.tables.contracts import outcomes
+    from gradcal_jax.spec.contracts import outcomes
 
     lines = [strong(prediction.title or name)]
     lines += [times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s), ""]

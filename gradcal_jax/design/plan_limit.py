@@ -31,13 +31,12 @@ from gradcal_jax.formulas import lagged_temperature
 from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.information.residual import residual_map, residual_of, statistic
 from gradcal_jax.information.unseen import floor_of_plan
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.motion.plan_motion import chamber_programme
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.requirement import Requirement
+from gradcal_jax.spec.requirement import QUANTITIES, Requirement
 from gradcal_jax.spec.schedule import PlanSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
@@ -98,7 +97,7 @@ def limit(spec: Spec) -> list[PlanLimit]:
         if (bound := data.bound(r)) is None:
             continue
         least, relaxed = bound
-        (unit, factor), value = UNIT_OF[r.quantity], rows[r.name].decisive
+        (*_, unit, factor), value = QUANTITIES[r.quantity], rows[r.name].decisive
         certified = float(np.hypot(factor * least, np.min(residual_map(built, floor, r).values)))
         share = None if value is None else certified / value
         proven.append(PlanLimit(r.name, r.statistic, unit, certified, value, share, relaxed, data.kept))

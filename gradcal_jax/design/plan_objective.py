@@ -12,10 +12,11 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.information.residual import Residual, residual_map, residual_of
 from gradcal_jax.information.unseen import own_of_imu, posterior_and_answers, unseen_columns
-from gradcal_jax.information.verdicts import UNIT_OF, finite, limit_of
+from gradcal_jax.information.verdicts import finite, limit_of
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.design import ALL, WORST, Design
 from gradcal_jax.spec.places import hung_alike
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec_sections import Spec
 
 EXCESS: Final = 10.0
@@ -28,8 +29,8 @@ MARGIN: Final = 0.1
 MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
 NO_TARGET: Final = "to stop when every target is met, give a requirement a target"
 
-# The statistic of every requirement at each place, by the terms that the spec names (`UNIT_OF`; infinite: not
-# observable).
+# The statistic of every requirement at each place, by the terms that the spec names (in the unit of output; infinite:
+# not observable).
 Left = Float[np.ndarray, "s m"]
 
 
@@ -67,7 +68,7 @@ class ExactObjective:
         self.limits = np.where(alone | np.isnan(self.targets), 1.0, self.targets)
         self.counted = alone | self.of_logs
         self.limiting = ~self.counted & ~np.isnan(self.targets)
-        self.units = [UNIT_OF[r.quantity] for r in spec.requirement]
+        self.units = [QUANTITIES[r.quantity] for r in spec.requirement]
 
     def statistics(self) -> list[Residual]:
         """The statistic of each requirement as a function of a covariance, SI."""
@@ -122,12 +123,12 @@ class ExactObjective:
             return name, "" if np.any(np.isnan(self.targets[counted])) else "of the target", 1.0
         (k,) = counted
         row = self.spec.requirement[k]
-        return f"{row.name} ({row.statistic})", self.units[k][0], float(self.limits[k])
+        return f"{row.name} ({row.statistic})", self.units[k].unit, float(self.limits[k])
 
     def changes(self, before: Left, now: Left) -> tuple[RequirementChange, ...]:
         """What two plans leave of the requirements, at the worst place."""
         rows = zip(self.spec.requirement, self.units, np.max(before, axis=0), np.max(now, axis=0), strict=True)
-        return tuple(RequirementChange(r.name, unit, finite(a), finite(b)) for r, (unit, _), a, b in rows)
+        return tuple(RequirementChange(r.name, of.unit, finite(a), finite(b)) for r, of, a, b in rows)
 
     def met(self, left: Left) -> bool:
         """Whether every target is met by its rule with `MARGIN` at every place. Errors: `ValueError` where there is no

@@ -68,7 +68,7 @@ class PlanValue:
         programme = None if self.course is None else self.course.programme(z[count:])
         plan = self._plan(decoded, programme, sharpness)
         statistics = self.exact.statistics()
-        over = self.exact.limits / np.array([per_si for _, per_si in self.exact.units])
+        over = self.exact.limits / np.array([of.factor for of in self.exact.units])
         logs = []
         for built in self.exact.builts:
             root = self._root(built, *self._motion(built, plan, of))

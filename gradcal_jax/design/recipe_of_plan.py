@@ -9,9 +9,9 @@ from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.recipe.recipe import FORMAT, Recipe, RecipeOrigin, fingerprint_of
 from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.recipe.tracks import Stability
+from gradcal_jax.spec.contracts import Prediction
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import Prediction
 
 _VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan of the spec"

@@ -8,8 +8,8 @@ import gradcal_jax
 from gradcal_jax.calibration.file import LOG_HASH, Calibration, FitTest, Result, UnseenError
 from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.records.log import Log
+from gradcal_jax.spec.contracts import RequirementRow
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.tables.contracts import RequirementRow
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.units import DEG_PER_S
 

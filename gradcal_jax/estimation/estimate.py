@@ -46,12 +46,12 @@ from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
 from gradcal_jax.spec.changes import along_axis
+from gradcal_jax.spec.contracts import RequirementRow, outcomes
 from gradcal_jax.spec.moves import Axis
 from gradcal_jax.spec.places import places_of, specs_at_places
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import RequirementRow, outcomes
 from gradcal_jax.tables.display import summary
 
 # Steps to which the ranges of a calibration are rounded, outwards.

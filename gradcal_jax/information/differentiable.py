@@ -20,11 +20,11 @@ from gradcal_jax.information.imu_rows import segments_of
 from gradcal_jax.information.plan_information import plan_information
 from gradcal_jax.information.residual import Residual, residual_of
 from gradcal_jax.information.unseen import answers_of, drifting_terms, unseen_columns
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import BSpline, ImuModel, Map, Term
 from gradcal_jax.model.build import BuiltImu, build_imu, unweighted_estimator
 from gradcal_jax.motion import Schedule, TableMotion
 from gradcal_jax.motion.plan_motion import plan_schedule
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -104,7 +104,7 @@ class Differentiable:
         unseen = unseen_columns(self.built, answers_of(self.built, columns if self._terms else None))
         for name, of in self._required.items():
             value = of._replace(unseen=tuple(unseen.values()))(root)
-            results[name] = xp.asarray(value * UNIT_OF[of.requirement.quantity][1])
+            results[name] = xp.asarray(value * QUANTITIES[of.requirement.quantity].factor)
         return results
 
     def _moved(self, schedule: Schedule, lag: Any) -> TableMotion:

@@ -12,7 +12,6 @@ from gradcal_jax.information.plan_sentences import plan_warnings
 from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, budget_of_imu
 from gradcal_jax.information.verdicts import (
-    UNIT_OF,
     decision_rule,
     finite,
     limit_of,
@@ -22,11 +21,11 @@ from gradcal_jax.information.verdicts import (
 )
 from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.spec.absent import absent_terms, with_typical
+from gradcal_jax.spec.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
 from gradcal_jax.spec.places import hung_alike
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
+from gradcal_jax.spec.requirement import QUANTITIES, GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
 
 
 class JudgedPlan(NamedTuple):
@@ -163,7 +162,7 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         grid=tuple(requirement.grid),
         **{n.replace(" ", "_"): finite(left.statistic(n)) for n in STATISTICS if n != "mean of max" or by_rate},
         **more,
-        unit=UNIT_OF[requirement.quantity][0],
+        unit=QUANTITIES[requirement.quantity].unit,
         target=target,
         worst=worst,
         verdict=verdict_of(requirement, judged.statistic),

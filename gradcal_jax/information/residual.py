@@ -10,27 +10,28 @@ A `Residual` is a function of a root of the covariance for searches and derivati
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float, Inexact, Int
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.information.verdicts import UNIT_OF, Statistic
-from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, ChannelKind, GradientOfBias, ImuModel, OwnTerm
-from gradcal_jax.model.build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, BuiltImu
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, GradientOfBias, ImuModel, OwnTerm
+from gradcal_jax.model.build import MISALIGNMENT, BuiltImu
 from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.spec.requirement import (
+    QUANTITIES,
     AccelerometerBiasRequirement,
     GyroBiasRequirement,
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
     Requirement,
+    Statistic,
 )
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-STATISTICS: tuple[Statistic, ...] = ("mean of max", "max", "mean", "rms")
+STATISTICS: tuple[Statistic, ...] = get_args(Statistic)
 EXACT = np.asarray(np.inf)
 """Value of `sharpness` for which a smooth statistic equals the statistic."""
 UNITS_OF_TERMS = {
@@ -53,14 +54,6 @@ _MOST_GRIDS = 32
 # Imaginary step of a derivative, which is exact to rounding.
 _STEP = 1e-30
 _MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
-# Names of terms by the quantity without its kind of channel: one, or one for each axis.
-_TERMS = {
-    "bias": (BIAS,),
-    "scale_factor": (SCALE_FACTOR,),
-    "misalignment": _MISALIGNMENTS,
-    "g_sensitivity": tuple(G_SENSITIVITY.format(axis) for axis in AXIS_NAMES),
-    "second_order": (SECOND_ORDER,),
-}
 
 
 class GridElement(NamedTuple):
@@ -195,7 +188,7 @@ class Residual(NamedTuple):
 
     def map(self, known: Posterior) -> ResidualMap:
         """Its values for a posterior."""
-        unit, factor = UNIT_OF[self.requirement.quantity]
+        *_, unit, factor = QUANTITIES[self.requirement.quantity]
         shape = len(self.elements), len(self.temperatures), len(self.rates)
         deviations = np.reshape([element.deviations(known) for element in self.elements], shape)
         values = factor * (np.hypot(deviations, self.added**0.5) if self.added else deviations)
@@ -241,7 +234,7 @@ def residual_of(built: BuiltImu, requirement: Requirement, unseen: Sequence[AnyA
         if requirement.relative_to == "case" and sensor.frame != "case":
             beside = float(built.spec.rig.table.mounting[0].accuracy)
     elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
-        triad = getattr(sensor, _kind_of(requirement))
+        triad = getattr(sensor, QUANTITIES[requirement.quantity].kind)
         if triad.gradient_sensitivity is None:
             beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
     # (A sweep has one model, and computes the grids of its requirements once; those of swept requirements go again.)
@@ -260,11 +253,6 @@ def residual_map(built: BuiltImu, known: Posterior, requirement: Requirement) ->
     return residual_of(built, requirement).map(known)
 
 
-def _kind_of(requirement: Requirement) -> ChannelKind:
-    quantity = requirement.quantity
-    return "accelerometer" if quantity == "second_order" or quantity.startswith("accelerometer") else "gyro"
-
-
 def _grid(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s)."""
     cold, warm = map(float, requirement.temperature)
@@ -279,14 +267,15 @@ def _elements(
     built: BuiltImu, requirement: Requirement, temperatures: np.ndarray, rates: np.ndarray
 ) -> Iterator[GridElement]:
     """Each element of a quantity, temperatures first."""
-    model, about, wanted, kind = built.model, built.about, requirement.axis, _kind_of(requirement)
+    model, about, wanted = built.model, built.about, requirement.axis
+    kind, _, term, *_ = QUANTITIES[requirement.quantity]
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         for label, rows in _internal_misalignments(model, kind, temperatures, about):
             if wanted in ("all", "worst") or wanted in label.split()[0]:
                 yield grid_element(model, label, rows)
         return
-    quantity = requirement.quantity.removeprefix(f"{kind}_")
-    names, by_matrix = _TERMS[quantity], about is not None and quantity in ("scale_factor", "misalignment")
+    names = tuple(dict.fromkeys(term.format(axis) for axis in AXIS_NAMES))
+    by_matrix = about is not None and term in (SCALE_FACTOR, MISALIGNMENT)
     matrix = _matrix_errors(model, kind, temperatures, about) if by_matrix else np.zeros(0)
     grid = [of.ravel() for of in np.meshgrid(temperatures, rates, indexing="ij")]
     for c in model.channels:
@@ -294,7 +283,7 @@ def _elements(
         if c.kind != kind or wanted not in ("all", "worst", axis):
             continue
         for k, name in enumerate(names):
-            if names is _MISALIGNMENTS and k == c.axis:
+            if term == MISALIGNMENT and k == c.axis:
                 continue
             rows = map_rows(model, c, name, *grid)
             if by_matrix and _corrected_by_matrix(c, name):
@@ -319,7 +308,8 @@ def _states(model: ImuModel, channel: Channel, requirement: Requirement) -> np.n
     states = ((0.0, 0.0),) if service is None else service()
     if states == ((0.0, 0.0),):
         return None
-    own = (f"{INPUTS[channel.kind]} {AXIS_NAMES[channel.axis]}",) if "scale_factor" in requirement.quantity else ()
+    scaled = QUANTITIES[requirement.quantity].term == SCALE_FACTOR
+    own = (f"{INPUTS[channel.kind]} {AXIS_NAMES[channel.axis]}",) if scaled else ()
     rows = np.zeros((len(states), 1, model.size))
     for term in channel.terms:
         place = model.where(channel.kind, channel.axis, term.name).start

@@ -28,8 +28,8 @@ from gradcal_jax.information.figures import CORRELATION_TIME
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import residual_map
 from gradcal_jax.information.unseen import budget_of_imu
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import Map
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -86,7 +86,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
         rows += [Elasticity(r.name, name, near[r.name] + (near[r.name] - far[r.name]) / 3.0) for r in spec.requirement]
     rows.sort(key=lambda row: (row.requirement, -abs(row.percent)))
     values = of.at({})
-    shown = {r.name: (float(values[r.name]), UNIT_OF[r.quantity][0]) for r in spec.requirement}
+    shown = {r.name: (float(values[r.name]), QUANTITIES[r.quantity].unit) for r in spec.requirement}
     return Sensitivities(tuple(rows), shown)
 
 

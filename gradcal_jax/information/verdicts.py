@@ -4,36 +4,21 @@ calibration files that all estimators write."""
 import platform
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
-from gradcal_jax.spec.requirement import Requirement
-from gradcal_jax.units import DEG_PER_H, PPM, G
-
-Statistic = Literal["mean of max", "max", "mean", "rms"]
-PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
-UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
-    "gyro_bias": ("deg/h", DEG_PER_H),
-    "gyro_scale_factor": ("ppm", PPM),
-    "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
-    "accelerometer_bias": ("ug", 1e6 / G),
-    "accelerometer_scale_factor": ("ppm", PPM),
-    "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * G),
-}
-"""For each quantity: its unit in output, and the number of these units in one SI unit."""
+from gradcal_jax.spec.requirement import QUANTITIES, Requirement, Statistic
 
 
 def target_of(requirement: Requirement) -> float | None:
-    """The target in the unit of `UNIT_OF`."""
-    return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
+    """The target in the unit of output."""
+    return None if requirement.target is None else float(requirement.target) * QUANTITIES[requirement.quantity].factor
 
 
 def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
     """The limit that a target sets to the residual map (1σ): the requirement's own statistic, and its largest allowed
-    value (`UNIT_OF`), `target / coverage` (simple acceptance, JCGM 106, 8.2)."""
+    value (in the unit of output), `target / coverage` (simple acceptance, JCGM 106, 8.2)."""
     target = target_of(requirement)
     return None if target is None else (requirement.statistic, target / requirement.coverage)
 
@@ -50,7 +35,7 @@ def verdict_of(
     requirement: Requirement, statistic_named: Callable[[Statistic], float]
 ) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics
-    by name (in `UNIT_OF`, 1σ), infinite where it is not observable."""
+    by name (in the unit of output, 1σ), infinite where it is not observable."""
     if not np.isfinite(statistic_named(requirement.statistic)):
         return "unobservable"
     limit = limit_of(requirement)

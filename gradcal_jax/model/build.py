@@ -46,8 +46,6 @@ from gradcal_jax.spec.temperature_path import GeneralTerm
 
 # Names of terms, for requirements and sentences.
 MISALIGNMENT = "misalignment_{}"
-G_SENSITIVITY = "g_sensitivity_{}"
-SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
 ROTATION = "ww_"
@@ -203,13 +201,13 @@ _MAPS: dict[ChannelKind, tuple[tuple[str, str, tuple[str, ...], str, str, str], 
         ("bias", "itself", (), BIAS, "a", "rad/s"),
         ("scale_factor", "itself", ("rate {own}",), SCALE_FACTOR, "b", "1"),
         ("misalignment", "others", ("rate {}",), MISALIGNMENT, "m_{}", "rad"),
-        ("g_sensitivity", "all", ("force {}",), G_SENSITIVITY, "g_{}", "rad/s/(m/s^2)"),
+        ("g_sensitivity", "all", ("force {}",), "g_sensitivity_{}", "g_{}", "rad/s/(m/s^2)"),
     ),
     "accelerometer": (
         ("bias", "itself", (), BIAS, "a", "m/s^2"),
         ("scale_factor", "itself", ("force {own}",), SCALE_FACTOR, "s", "1"),
         ("misalignment", "others", ("force {}",), MISALIGNMENT, "m_{}", "rad"),
-        ("second_order", "itself", ("force {own}",) * 2, SECOND_ORDER, "k2", "1/(m/s^2)"),
+        ("second_order", "itself", ("force {own}",) * 2, "second_order", "k2", "1/(m/s^2)"),
     ),
 }
 _WHITE: dict[ChannelKind, str] = {"gyro": "angle_random_walk", "accelerometer": "velocity_random_walk"}

@@ -3,6 +3,7 @@ not smooth."""
 
 import numpy as np
 
+from gradcal_jax.formulas import MOTION_TERMS
 from gradcal_jax.motion.trajectory import Trajectory
 
 # 16 nodes resolve a raised cosine to the fourth power, the fastest variation of a cubic M(T, ω), to 1e-12; each higher
@@ -11,8 +12,9 @@ from gradcal_jax.motion.trajectory import Trajectory
 _MOVING_NODES = 16
 _CUBIC = 3
 _HALF_WAVE_NODES = 10
-# The first terms of the motion family (`formulas.MOTION_TERMS`) are powers of the time, the next ones half waves.
-_POWERS, _HALF_WAVES = 4, 6
+# Of each term of the motion family: its power of time (a wave: -1), and whether it is no faster than a half wave.
+_POWERS = np.array([int(name[1:]) if name[0] == "u" else -1 for name in MOTION_TERMS])
+_SLOW = (_POWERS >= 0) | np.isin(MOTION_TERMS, ("cos1", "sin1"))
 # Divisions nearer than this to an end of a piece, or to each other, as a share of the piece, divide nothing.
 EDGE = 1e-12
 # Bisection steps that locate a crossing, to 2^-45 of a piece.
@@ -24,12 +26,12 @@ def moving_nodes(line: Trajectory, of_temperature: int, of_rate: int) -> int:
     nodes = _MOVING_NODES + 2 * max(0, of_rate - _CUBIC)
     # Linear ramps and splines are polynomials in time, which few nodes integrate exactly.
     present = np.asarray(line.terms)[np.asarray(line.moving)] != 0.0
-    powers = np.flatnonzero(np.any(present, axis=0))
+    terms = np.any(present, axis=0)
     # The shape of a move is unknown if it does not turn here but may where the rule is used.
-    if np.any(line.excess) or not np.all(np.any(present, axis=1)) or not np.all(powers < _HALF_WAVES):
+    if np.any(line.excess) or not np.all(np.any(present, axis=1)) or not np.all(_SLOW[terms]):
         return nodes
-    exact = ((of_rate + 1) * int(np.max(powers, initial=0)) + of_temperature) // 2 + 1
-    return min(nodes, exact if np.all(powers < _POWERS) else _HALF_WAVE_NODES + of_rate)
+    exact = ((of_rate + 1) * int(np.max(_POWERS[terms], initial=0)) + of_temperature) // 2 + 1
+    return min(nodes, exact if np.all(_POWERS[terms] >= 0) else _HALF_WAVE_NODES + of_rate)
 
 
 def turning_points(line: Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -77,10 +77,9 @@ def turning(shape: str, divisions: tuple[Division, ...], unevenness: float, *, s
     """A turn of unit peak rate with the division of each of its smooth parts; `stands`: see `formulas.shape_pieces`."""
     parts = formulas.shape_pieces(shape, unevenness=unevenness, stands=stands)
     blocks = []
-    for i, ((what, share, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
+    for i, ((what, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
         count, at = len(read), np.asarray(edges)
-        lasts = {"ramp": (0.0, 1.0), "flat": (1.0, -2.0), "turn": (1.0, -2.0)}
-        by_duration, by_ramp = lasts.get(what, (share, 0.0))
+        by_duration, by_ramp = (0.0, 1.0) if what == "ramp" else (1.0, -2.0)
         ends_move = np.arange(count) == (count - 1 if i == len(parts) - 1 else count)
         yes = np.ones(count, bool)
         lasting, rates = (np.full(count, by_duration), np.full(count, by_ramp)), np.tile(coefficients, (count, 1))
@@ -146,15 +145,14 @@ def turn(
             f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramps or reduce the rate"
         )
     between = max(duration - 2.0 * ramp, 0.0)
-    lasting = {"ramp": ramp, "flat": between, "turn": between}
-    if shape == "hand":
-        # Its rate oscillates four times, and its powers in M(T, ω) are too fast for one quadrature.
+    if shape not in formulas.RAMPS:
+        # The rate of a hand oscillates four times, and its powers in M(T, ω) are too fast for one quadrature.
         longest_piece = min(longest_piece, between / 8)
     readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     divisions, begin = [], 0.0
     parts = formulas.shape_pieces(shape, unevenness=unevenness, stands=ramp > 0.0)
-    for i, (what, share, _) in enumerate(parts):
-        part = lasting.get(what, share * duration)
+    for i, (what, _) in enumerate(parts):
+        part = ramp if what == "ramp" else between
         last = i == len(parts) - 1
         inside = [t - begin for t in readings if t > begin + 1e-12 * duration and (last or t <= begin + part)]
         times = tuple(min(t, part) for t in inside)

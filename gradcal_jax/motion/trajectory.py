@@ -40,7 +40,7 @@ class Trajectory(PytreeModule):
     duration: Float[AnyArray, " P"]
     u_start: Float[AnyArray, " P"]
     u_end: Float[AnyArray, " P"]
-    terms: Float[AnyArray, "P 10"]
+    terms: Float[AnyArray, "P m"]
     share: Float[AnyArray, " P"]
     level: Float[AnyArray, " P"]
     slope: Float[AnyArray, " P"]

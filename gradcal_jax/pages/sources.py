@@ -11,10 +11,10 @@ from typing import Any
 from gradcal_jax.calibration.file import Calibration, is_calibration, read_calibration
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.recipe.recipe import Recipe, is_recipe, recipe_of
+from gradcal_jax.spec.contracts import Prediction
 from gradcal_jax.spec.places import places_of, specs_at_places
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import FORMAT, Spec
-from gradcal_jax.tables.contracts import Prediction
 from gradcal_jax.tables.document import read_text, read_toml
 
 CALIBRATION_IN_RUN = "calibration.toml"

@@ -4,7 +4,7 @@ from typing import Final
 
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.information.residual import UNITS_OF_TERMS
-from gradcal_jax.tables.contracts import Prediction
+from gradcal_jax.spec.contracts import Prediction
 from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Cell, Column, Table
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, TrackMove, Tracks
-from gradcal_jax.tables.contracts import outcomes
+from gradcal_jax.spec.contracts import outcomes
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.table import Table
 from gradcal_jax.units import time_text

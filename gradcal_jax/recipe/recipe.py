@@ -18,9 +18,9 @@ from gradcal_jax import units
 from gradcal_jax.recipe.bench_tables import show
 from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, Stability, Tracks, tracks_of
 from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.contracts import Prediction, outcomes
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import Prediction, outcomes
 from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
 from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Text, Whole

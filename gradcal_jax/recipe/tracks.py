@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Any, Final, Literal, NamedTuple
 
+from gradcal_jax.formulas import RAMPS
 from gradcal_jax.spec.bench import Mounting, Rig
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import StandardPlan
@@ -261,7 +262,10 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
     """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
-    return abs(move.peak_rate) / (0.5 * move.duration - move.ramp if move.shape == "hand" else move.ramp)
+    ramp = move.ramp
+    if move.shape not in RAMPS:
+        ramp = move.duration - 2.0 * move.ramp - abs(move.angle / move.peak_rate)
+    return abs(move.peak_rate) / ramp
 
 
 # ------------------------------------------------------------------------------------------------- standard method

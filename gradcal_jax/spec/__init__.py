@@ -1,1 +1,2 @@
-"""What is stated: sensor, rig, requirements, plan, and what a plan resolves to."""
+"""What is stated: sensor, rig, requirements, plan, what a plan resolves to, and the contract of
+a prediction."""

@@ -11,6 +11,7 @@ from typing import Final
 
 from gradcal_jax import units
 from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import HOST_CLOCK
 from gradcal_jax.spec.spec_sections import Spec
@@ -122,19 +123,15 @@ def _without_effect(spec: Spec) -> set[str]:
     return {key for holds, keys in rules if holds for key in keys.split()}
 
 
-_OF_BRANCHES: Final = {
-    "gyro_bias": ("gyro", "hysteresis"),
-    "gyro_scale_factor": ("gyro", "scale_factor_hysteresis"),
-    "accelerometer_bias": ("accelerometer", "hysteresis"),
-    "accelerometer_scale_factor": ("accelerometer", "scale_factor_hysteresis"),
-}
-"""For each quantity whose requirement may state a `branch` (heating or cooling): the kind of its channel, and the key
-of its hysteresis terms."""
+def _hysteresis_of(quantity: str) -> tuple[str, str]:
+    """The kind of a quantity's channels, and the key of its hysteresis terms."""
+    of = QUANTITIES[quantity]
+    return of.kind, "hysteresis" if of.section == "bias" else f"{of.section}_hysteresis"
 
 
 def _of_branches(spec: Spec) -> Iterator[TypicalTerm]:
     """Hysteresis of quantities that are required on a branch of the temperature."""
-    branched = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
+    branched = {_hysteresis_of(r.quantity) for r in spec.requirement if getattr(r, "branch", None) is not None}
     for kind, key in sorted(branched):
         triad = getattr(spec.sensor, kind)
         if triad is not None and key not in triad.model_fields_set:
@@ -150,8 +147,10 @@ def _play(spec: Spec, kind: str, key: str) -> TypicalTerm:
 def branch_sentences(spec: Spec) -> list[str]:
     """What requirements leave out that name no branch of the temperature, with the figures of the class."""
     left, widest = list[str](), 0.0
-    for quantity, (kind, key) in _OF_BRANCHES.items():
-        open_ones = [r for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
+    for quantity in QUANTITIES:
+        kind, key = _hysteresis_of(quantity)
+        # (Only some quantities may state a branch.)
+        open_ones = [r for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", "") is None]
         triad = getattr(spec.sensor, kind)
         if not open_ones or triad is None or key in triad.model_fields_set:
             continue

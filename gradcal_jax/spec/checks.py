@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.spec.design import design_problems
 from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement
+from gradcal_jax.spec.requirement import QUANTITIES, GyroScaleFactorRequirement
 from gradcal_jax.spec.schedule import PlanSchedule, PlanStep, row_count
 from gradcal_jax.spec.sensor import FULL_SCALE_MARGIN
 from gradcal_jax.tables.problems import Key, Problem, SpecError, repeated_names
@@ -96,9 +96,6 @@ def _full_scale(spec: "Spec", steps: Sequence[PlanStep]) -> Iterator[Problem]:
             yield Problem(key, message, text)
 
 
-_OF_OTHER_NAME: Final = {"g_sensitivity": "gyro.g_sensitivity", "second_order": "accelerometer.second_order"}
-
-
 def _table_of(spec: "Spec", dotted: str) -> Any:
     """A table below [sensor]; None where it or one above is absent."""
     value: Any = spec.sensor
@@ -113,7 +110,7 @@ def _requirements(spec: "Spec") -> Iterator[Problem]:
     yield from repeated_names("requirement", "name", names, "two requirements have this name; names must differ")
     for i, requirement in enumerate(spec.requirement):
         key, quantity = ("requirement", i), requirement.quantity
-        needed = [_OF_OTHER_NAME.get(quantity) or quantity.replace("_", ".", 1)]
+        needed = ["{}.{}".format(*QUANTITIES[quantity])]
         internal = getattr(requirement, "relative_to", "") == "internal"
         if quantity == "accelerometer_misalignment" and internal:
             needed.append("gyro.misalignment")

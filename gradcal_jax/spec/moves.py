@@ -2,15 +2,15 @@
 
 Kinematics (D duration, A peak rate, r ramp time, θ angle):
 
-    shape           angle        peak acceleration     keys
-    cosine ramps    A(D − r)     πA/(2r)               turn, peak_rate, duration
-    linear ramps    A(D − r)     A/r                   turn, peak_rate, duration
-    hand            AD/2         largest slope         turn, duration, unevenness
+    shape        angle        peak acceleration     keys
+    … ramps      A(D − r)     steepness·A/r         turn, peak_rate, duration
+    hand         AD/2         largest slope         turn, duration, unevenness
 
-A ramped turn is as fast as the axis allows, or as `peak_rate` says, with ramps as short as the axis allows; its
-`duration` makes the ramps longer. Angle and duration are exact, and a rounded `peak_rate` may differ by 0.5 %. Without
-a shape a turn has cosine ramps, and a short one need not reach its `peak_rate`. A turn by hand lasts longer by the
-table's `answer_time`, half of it before and half of it after turning.
+The ramps and their steepness are those of `formulas.RAMPS`. A ramped turn is as fast as the axis allows, or as
+`peak_rate` says, with ramps as short as the axis allows; its `duration` makes the ramps longer. Angle and duration are
+exact, and a rounded `peak_rate` may differ by 0.5 %. Without a shape a turn has cosine ramps, and a short one need not
+reach its `peak_rate`. A turn by hand lasts longer by the table's `answer_time`, half of it before and half of it after
+turning.
 """
 
 import math
@@ -24,7 +24,7 @@ from gradcal_jax import formulas
 from gradcal_jax.spec.bench import Spacing, TableAxis
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Angle, Flag, Number, PositiveRate, Quantity, Text, Time
-from gradcal_jax.tables.section import Section, by_key, refuse
+from gradcal_jax.tables.section import OneOf, Section, by_key, refuse
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -32,8 +32,6 @@ FULL_TURN: Final = 2.0 * math.pi
 _AGREEMENT: Final = 0.005
 _ROUNDING: Final = 1e-9
 _ALMOST: Final = 1.0 + 1e-6
-# Peak acceleration times ramp, over peak rate.
-_STEEPNESS: Final = {"cosine ramps": math.pi / 2.0, "linear ramps": 1.0}
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ class Turn(_Move):
     """Angle of the turn; its sign is the direction."""
     axis: Text | None = None
     """Name of the table axis; may be absent if the table has only one."""
-    shape: Literal["cosine ramps", "linear ramps", "hand"] | None = None
+    shape: Annotated[str, OneOf(formulas.SHAPES)] | None = None
     """Shape of the rate over time; absent: cosine ramps, and a short turn need not reach its `peak_rate`."""
     peak_rate: PositiveRate | None = None
     """Largest rate; absent: the maximum rate of the axis."""
@@ -179,10 +177,13 @@ class Turn(_Move):
 
     def _ramped(self, axis: TableAxis) -> ResolvedMove:
         shape, angle = self.shape or "cosine ramps", float(self.turn)
-        peak = float(axis.max_rate if self.peak_rate is None else self.peak_rate)
+        peak, steepness = (
+            float(axis.max_rate if self.peak_rate is None else self.peak_rate),
+            formulas.RAMPS[shape].steepness,
+        )
         if self.duration is None:
             # Without a flat part θ = A·ramp, ramp = least·A.
-            least = _STEEPNESS[shape] / float(axis.max_acceleration)
+            least = steepness / float(axis.max_acceleration)
             reached = math.sqrt(abs(angle) / least)
             if self.shape is not None and self.peak_rate is not None and peak > reached * (1.0 + _ROUNDING):
                 message = f"cannot be reached within {self.turn} at the table's max_acceleration; expected at most "
@@ -206,7 +207,7 @@ class Turn(_Move):
             angle=angle,
             peak_rate=math.copysign(peak, angle),
             ramp=ramp,
-            peak_acceleration=_STEEPNESS[shape] * peak / ramp,
+            peak_acceleration=steepness * peak / ramp,
             fastest=peak,
             **self.reading,
         )

@@ -1,7 +1,7 @@
 """`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal, cast, get_args
+from typing import Annotated, Any, Final, Literal, NamedTuple, cast, get_args
 
 from pydantic import Field, Strict, model_validator
 
@@ -9,11 +9,36 @@ from gradcal_jax.spec.bases import increasing
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import OneOrMore, Section, chosen_by
+from gradcal_jax.units import DEG_PER_H, PPM, G
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 
+class LimitedQuantity(NamedTuple):
+    """A quantity of requirements: the `kind` of its channels; the table [sensor.kind.section] that estimates it; the
+    name of its terms in the model, with {} one for each axis; its unit in output, and the number of these units in one
+    SI unit."""
+
+    kind: Literal["gyro", "accelerometer"]
+    section: str
+    term: str
+    unit: str
+    factor: float
+
+
+QUANTITIES: Final = {
+    "gyro_bias": LimitedQuantity("gyro", "bias", "bias", "deg/h", DEG_PER_H),
+    "gyro_scale_factor": LimitedQuantity("gyro", "scale_factor", "scale_factor", "ppm", PPM),
+    "gyro_misalignment": LimitedQuantity("gyro", "misalignment", "misalignment_{}", "urad", 1e6),
+    "g_sensitivity": LimitedQuantity("gyro", "g_sensitivity", "g_sensitivity_{}", "deg/h/g", DEG_PER_H * G),
+    "accelerometer_bias": LimitedQuantity("accelerometer", "bias", "bias", "ug", 1e6 / G),
+    "accelerometer_scale_factor": LimitedQuantity("accelerometer", "scale_factor", "scale_factor", "ppm", PPM),
+    "accelerometer_misalignment": LimitedQuantity("accelerometer", "misalignment", "misalignment_{}", "urad", 1e6),
+    "second_order": LimitedQuantity("accelerometer", "second_order", "second_order", "ug/g^2", 1e6 * G),
+}
+"""What a requirement may limit, by the name in its class; everything else reads these rows."""
+Statistic = Literal["mean of max", "max", "mean", "rms"]
 Over = Literal["mean", "max", "rms"]
 Elements = Literal["all", "worst", "x", "y", "z"]
 

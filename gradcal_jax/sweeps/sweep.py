@@ -27,8 +27,9 @@ import gradcal_jax
 from gradcal_jax.cache import cache_folder
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.information.prediction import requirement_rows
-from gradcal_jax.information.verdicts import UNIT_OF, versions_of
+from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.sweeps.sweep_file import Sweep
 from gradcal_jax.tables.locking import take
@@ -278,7 +279,7 @@ def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xar
     for k, requirement in enumerate(job.base.requirement):
         name, quantity = variable_name(requirement.name), requirement.quantity
         name = f"{name}_{k}" if f"{name}_verdict" in variables else name
-        same = {"units": UNIT_OF[quantity][0], "requirement": requirement.name, "verdict": f"{name}_verdict"}
+        same = {"units": QUANTITIES[quantity].unit, "requirement": requirement.name, "verdict": f"{name}_verdict"}
         what = f"{requirement.name}: residual {quantity.replace('_', ' ')}, 1 sigma"
         judged = same | {"statistic": requirement.statistic, "decisive": "yes"}
         add(f"{name}_residual", f"{k} residual", f"{what}, as the verdict counts it", **judged)

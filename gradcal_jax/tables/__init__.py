@@ -1,1 +1,1 @@
-"""What every file is made of: problems, quantities, sections, documents, contracts."""
+"""What every file is made of: problems, quantities, sections, documents."""

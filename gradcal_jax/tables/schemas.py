@@ -16,7 +16,7 @@ _MODELS: Final = {
     "lines": "hardware.line_protocol.LineProtocol",
     "registers": "hardware.register_protocol.RegisterProtocol",
     "text": "hardware.text_unit.TextSensor",
-    "prediction": "tables.contracts.Prediction",
+    "prediction": "spec.contracts.Prediction",
     "columns": "records.column_map.ColumnMap",
     "calibration": "calibration.file.Calibration",
     "recipe": "recipe.recipe.Recipe",

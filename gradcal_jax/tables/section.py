@@ -126,6 +126,16 @@ class OneOrMore:
         return {"anyOf": [body["items"], body]}
 
 
+class OneOf:
+    """Marks a text that is one of these names, as a `Literal` of them."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.names = list(dict.fromkeys(names))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.literal_schema(self.names)
+
+
 def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | None = None) -> BeforeValidator:
     """Marks a field that holds one of several tables: that which its `key` names, or the default."""
 

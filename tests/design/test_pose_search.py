@@ -12,8 +12,8 @@ from gradcal_jax.cli import main
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.optimise import Optimised, SearchStep, run_search
 from gradcal_jax.design.plan_objective import EXCESS
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.requirement import QUANTITIES
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
 
@@ -59,7 +59,7 @@ def test_the_targets_of_other_requirements_limit_a_search():
     name, other = small().requirement[0].name, small().requirement[1]
     alone = CyclePlan(small(**minimising(name)))
     left = alone.exact.left(alone.spec)[0, 1]
-    unit = UNIT_OF[other.quantity][0]
+    unit = QUANTITIES[other.quantity].unit
     limited = CyclePlan(small(**minimising(name, **{other.quantity: f"{0.5 * left} {unit}"})))
     before = limited.exact.left(limited.spec)
     assert limited.exact.missed(before) == {other.name: pytest.approx(math.log(2.0), rel=1e-9)}
@@ -94,8 +94,8 @@ def test_targets_are_met_by_their_rule():
 
     def met(share: float, **keys: object) -> bool:
         wide = [
-            row | {"target": f"{share * value} {unit}"} | keys
-            for row, value, (unit, _) in zip(rows, left, plain.exact.units, strict=True)
+            row | {"target": f"{share * value} {of.unit}"} | keys
+            for row, value, of in zip(rows, left, plain.exact.units, strict=True)
         ]
         exact = CyclePlan(small(requirement=wide)).exact
         return exact.met(exact.left(exact.spec))

@@ -10,13 +10,13 @@ import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import residual_map
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion.plan_motion import geometry
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.bench import Place
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.places import places_of, rotation_of, specs_at_places
+from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import spec_of
 
 
@@ -114,7 +114,7 @@ def test_a_search_serves_all_places():
         built = build_imu(at)
         known = imu_posterior(built)
         left = [
-            residual_map(built, known, r).statistic() / float(r.target) / UNIT_OF[r.quantity][1]
+            residual_map(built, known, r).statistic() / float(r.target) / QUANTITIES[r.quantity].factor
             for r in spec.requirement
         ]
         logs.append(np.mean(np.log(left)))

@@ -17,11 +17,11 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.information import Posterior, segments_of, whiten
 from gradcal_jax.information.plan_information import imu_posterior
 from gradcal_jax.information.residual import residual_of
-from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import frames
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.requirement import QUANTITIES
 
 UNITS = 300
 
@@ -235,7 +235,7 @@ def test_the_residual_about_an_estimate_is_what_a_correction_leaves(kind, quanti
         here = matrix(values, temperature)
         steps = (1e-3 * model.to_reported @ spread).T
         errors = [np.linalg.solve(here, matrix(values + step, temperature)) - np.eye(3) for step in steps]
-        std = 1e3 * np.linalg.norm(errors, axis=0) * UNIT_OF[requirement.quantity][1]
+        std = 1e3 * np.linalg.norm(errors, axis=0) * QUANTITIES[requirement.quantity].factor
         wanted = [std["xyz".index(label[0]), "xyz".index(label[-1])] for label in left.labels]
         np.testing.assert_allclose(left.values[:, k, 0], wanted, rtol=0.1)
         assert np.max(np.abs(plain.values[:, k, 0] / wanted - 1.0)) > 0.3

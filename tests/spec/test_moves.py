@@ -27,8 +27,8 @@ def profile(found, points=20_001):
     """Rate on a fine time grid, by the formulas that the core integrates."""
     relative = formulas.shape_pieces(found.shape, unevenness=found.unevenness)
     times, rates, clock = [], [], 0.0
-    for what, share, coefficients in relative:
-        length = {"ramp": found.ramp, "flat": found.duration - 2 * found.ramp, "share": share * found.duration}[what]
+    for what, coefficients in relative:
+        length = found.ramp if what == "ramp" else found.duration - 2 * found.ramp
         u = np.linspace(0.0, 1.0, points)
         times.append(clock + u * length)
         rates.append(found.peak_rate * (formulas.motion_rate(u) @ np.array(coefficients)))
@@ -37,7 +37,7 @@ def profile(found, points=20_001):
 
 
 EXAMPLES = [
-    {"shape": "cosine ramps", "turn": "360 deg", "peak_rate": "300 deg/s"},
+    *({"shape": shape, "turn": "360 deg", "peak_rate": "300 deg/s"} for shape in formulas.RAMPS),
     {"shape": "linear ramps", "turn": "-900 deg", "peak_rate": "100 deg/s", "duration": "10.5 s"},
     {"turn": "-9 deg"},
     {"shape": "hand", "turn": "360 deg", "duration": "12 s", "unevenness": 0.6},

@@ -8,7 +8,7 @@ import pytest
 
 from gradcal_jax.spec import presets
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.tables.contracts import Prediction
+from gradcal_jax.spec.contracts import Prediction
 from gradcal_jax.tables.schemas import schema, schema_names
 
 

@@ -9,18 +9,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from gradcal_jax.spec.requirement import QUANTITIES, Statistic
 from gradcal_jax.tables.display import amount
-from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.section import OneOf, Section
 from gradcal_jax.tables.table import Table
 from gradcal_jax.units import times_text
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
-ImuQuantity = Literal[
-    "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
-    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order",
-]  # fmt: skip
 
 
 class RequirementRow(Section):
@@ -31,9 +28,9 @@ class RequirementRow(Section):
 
     name: str
     """Name of the requirement."""
-    quantity: ImuQuantity
+    quantity: Annotated[str, OneOf(QUANTITIES)]
     """Quantity that the requirement limits."""
-    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2"]
+    unit: Annotated[str, OneOf(of.unit for of in QUANTITIES.values())]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
     """Axis; for an IMU, also how the elements of the quantity are combined."""
@@ -43,7 +40,7 @@ class RequirementRow(Section):
     """Lowest and highest rate (deg/s); null: the quantity does not depend on rate."""
     grid: tuple[int, ...]
     """Number of temperatures (and of rates) at which the residual was evaluated."""
-    statistic: Literal["mean of max", "max", "mean", "rms"]
+    statistic: Statistic
     """The statistic that decides the verdict."""
     mean_of_max: Size | None = None
     """Statistic "mean of max": maximum over temperature, averaged over rate."""

@@ -70,7 +70,7 @@ def namespace(*trees: Any) -> Any:
 
 
 def put(into: Any, where: Any, values: Any) -> Any:
-    """`into` with `into[where] = values`; JAX drops indices beyond the end, which padding uses.
+    """`into` with `into[where] = values`.
 
     `where` indexes as in NumPy, without repetitions, so that JAX need not order the writes. The argument is not
     changed.
@@ -157,7 +157,7 @@ class _Selection:
 
 
 def _rows(values: Any, numbers: np.ndarray) -> Any:
-    return values.at[numbers].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    return jnp.asarray(values).at[numbers].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 _selection = jax.extend.core.Primitive("selection")

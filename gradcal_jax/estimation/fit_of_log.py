@@ -129,9 +129,7 @@ def _corrected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (rad/s) and specific forces (m/s²) `(n, 3)` corrected by an estimate."""
     held = tuple(calibrated_channels(built, built.model.to_reported @ parameters, _EVERYWHERE))
-    # (At rest a correction changes with the temperature alone, and most rows of a run's log are at rest.)
-    still = np.asarray(minimum_filter1d(rows.standing, 2 * _EACH), bool)
-    at = np.flatnonzero(rows.usable & ~(still & (np.arange(len(still)) % _EACH > 0)))
+    at = corrected_rows(rows.standing, rows.usable)
     true = correct_triads(held, rows.rates[at], rows.force[at], temperature[at])
     rates, felt = (_between(of, at, done) for of, done in zip((rows.rates, rows.force), true, strict=True))
     # Where no accelerometer is, nothing tells what a move adds to gravity.
@@ -141,6 +139,14 @@ def _corrected(
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=known)
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=known)
     return np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates), felt
+
+
+def corrected_rows(standing: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """The rows that are corrected by themselves, of `(n,)` truth values: one in 32 of the usable rows deep in a rest,
+    where a correction changes with the temperature alone and most rows of a run are, and all other usable ones."""
+    # (What is beyond the log's ends does not stand.)
+    deep = np.asarray(minimum_filter1d(standing & usable, 2 * _EACH, mode="constant"), bool)
+    return np.flatnonzero(usable & ~(deep & (np.arange(len(deep)) % _EACH > 0)))
 
 
 def _between(measured: np.ndarray, at: np.ndarray, true: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ A file of records, little-endian:
 
 Nothing is ever rewritten. A record that a crash has truncated fails its CRC; the next run appends behind it, and the
 reader continues at the next sound record. Events reach the disk before `event` returns (unless `at_once` is false),
-everything else at least once a second: one thread writes, so that a disk that stalls for seconds costs memory, and no
+everything else within 1.1 s: one thread writes, so that a disk that stalls for seconds costs memory, and no
 bytes of a line whose buffer holds a quarter of a second.
 
 Writing raises nothing, because the caller may be about to stop an axis: a journal that can no longer be written has a

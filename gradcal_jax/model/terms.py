@@ -328,7 +328,9 @@ class OwnTerm(Term):
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
-        _KNOWN[cls.__name__] = cls
+        # (Those of this program have keys of their own.)
+        if not cls.__module__.startswith("gradcal_jax."):
+            _KNOWN[cls.__name__] = cls
 
     @property
     def of_path(self) -> bool:

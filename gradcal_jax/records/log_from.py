@@ -59,18 +59,28 @@ def log_from(
         if key not in _SI:
             raise LogError(f"units: {key!r}: {instead(key, _SI)}")
     count = np.asarray(time).shape
+    if not (isinstance(sensor, str) and sensor):
+        raise LogError(f"sensor: {sensor!r} is no name")
+    if not isinstance(simulated, bool):
+        raise LogError(f"simulated: {simulated!r} is not True or False")
 
-    def in_si(kind: str, value: Any) -> Floats:
+    def fitting(kind: str, value: Any) -> Any:
         array = np.asarray(value)
         if array.shape != count:
             raise LogError(f"{kind} has the shape {array.shape}, and the times have the shape {count}")
+        if array.dtype.kind not in "biufmM":
+            raise LogError(f"{kind} has no numbers")
+        return array
+
+    def in_si(kind: str, value: Any) -> Floats:
+        array = fitting(kind, value)
         unit, dimension = _SI[kind]
         unit = stated.get(kind, unit)
         if array.dtype.kind in "mM":
             array, unit = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), "ns"
         try:
             return to_si(elapsed(array) if dimension == "time" else array, unit, dimension)
-        except (unit_of.UnitError, TypeError, ValueError) as error:
+        except unit_of.UnitError as error:
             raise LogError(f"{kind}: {error}") from None
 
     rates = _by_axis("rate", rate, ("x", "y", "z"))
@@ -83,13 +93,16 @@ def log_from(
         if value is not None:
             values[kind.replace("_", " ")] = in_si(kind, value)
     if standstill is not None:
-        values["standstill"] = np.asarray(standstill, np.float64)
+        values["standstill"] = fitting("standstill", standstill).astype(np.float64)
     return examine(Columns(sensor, values, simulated=simulated, provenance={"source": "arrays"}))
 
 
 def _by_axis(kind: str, value: Any, labels: Sequence[str]) -> dict[str, Any]:
     if value is None or isinstance(value, Mapping):
-        return {str(axis): one for axis, one in cast("Mapping[Any, Any]", value or {}).items()}
+        by_axis = {str(axis): one for axis, one in cast("Mapping[Any, Any]", value or {}).items()}
+        if "" in by_axis:
+            raise LogError(f"{kind} has an axis without a name")
+        return by_axis
     array = np.asarray(value)
     if array.ndim not in (1, 2) or (array.ndim == 2 and array.shape[1] > len(labels)):
         raise LogError(

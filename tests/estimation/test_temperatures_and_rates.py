@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.estimation import column_readings, smoothed_temperature
+from gradcal_jax.estimation.fit_of_log import corrected_rows
 
 
 @pytest.mark.parametrize("sample_rate_hz", [100.0, 3.0])
@@ -58,3 +59,26 @@ def test_a_value_that_was_not_polled_again_is_no_reading():
     noisy = rng.standard_normal(1001)
     read = np.flatnonzero(column_readings(time[:1001], noisy, np.ones(1001, bool), 1.0))
     assert read.tolist() == list(range(0, 1001, 100))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_between_the_rows_that_are_corrected_nothing_moves_and_nothing_is_missing(seed):
+    """Rests, moves and masked rows of random length; every 32nd row masked in one of the logs."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(1, 400, 40)
+    standing = np.repeat(np.arange(40) % 2 == 0, lengths)
+    usable = np.repeat(rng.random(40) > 0.1, rng.permutation(lengths))
+    usable[:: 32 if seed == 3 else 500] = False
+    at = corrected_rows(standing, usable)
+    assert np.all(usable[at])
+    assert (len(at) < np.count_nonzero(usable)) == (seed != 3)
+    for row in np.setdiff1d(np.flatnonzero(usable), at):
+        before, after = at[at < row][-1], at[at > row][0]
+        assert after - before <= 32
+        assert np.all((standing & usable)[before : after + 1])
+
+
+@pytest.mark.parametrize("length", [1, 20, 64])
+def test_all_rows_of_a_short_rest_are_corrected(length):
+    everywhere = np.ones(length, bool)
+    assert corrected_rows(everywhere, everywhere).tolist() == list(range(length))

@@ -105,7 +105,8 @@ def test_a_term_without_meaning_is_refused(axis, term, says):
         with_term(axis, name="term", **term)
 
 
-def test_a_class_that_nobody_defined_is_a_sentence(axis):
-    spec = with_term(axis, name="term", class_name="Nowhere", prior="1 deg/h")
-    with pytest.raises(ValueError, match=r'gradcal_jax\.model\.OwnTerm has no subclass "Nowhere"'):
+@pytest.mark.parametrize("name", ["Nowhere", "Hysteresis", "ProductTerm"])
+def test_a_class_that_nobody_defined_is_a_sentence(axis, name):
+    spec = with_term(axis, name="term", class_name=name, prior="1 deg/h")
+    with pytest.raises(ValueError, match=rf'gradcal_jax\.model\.OwnTerm has no subclass "{name}"'):
         gj.predict(spec)

@@ -55,11 +55,20 @@ def test_columns_of_a_data_frame_with_units(imported):
     [
         ((TIME, RATES[:100]), "the shape"),
         ((TIME, np.zeros((2000, 4))), "expected"),
+        ((TIME, 1j * RATES), "rate has no numbers"),
+        ((TIME, RATES.astype(str)), "rate has no numbers"),
+        ((TIME, RATES, {"standstill": np.ones(9)}), "standstill has the shape"),
+        ((TIME, RATES, {"standstill": True}), "standstill has the shape"),
+        ((TIME, RATES, {"standstill": np.full(len(TIME), None)}), "standstill has no numbers"),
+        ((TIME, RATES, {"sensor": ""}), "sensor: '' is no name"),
+        ((TIME, RATES, {"simulated": "yes"}), "simulated: 'yes' is not True or False"),
+        ((TIME, RATES, {"angle": {"": TIME}}), "angle has an axis without a name"),
     ],
 )
 def test_what_does_not_fit_is_a_sentence(arguments, said):
+    time, rates, *options = arguments
     with pytest.raises(LogError, match=said):
-        gj.log_from(*arguments)
+        gj.log_from(time, rates, **dict(*options))
     with pytest.raises(LogError, match="nearest: 'rate'"):
         gj.log_from(TIME, RATES, units={"rates": "deg/s"})
 

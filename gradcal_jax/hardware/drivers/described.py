@@ -75,7 +75,9 @@ class RequestOptions(DescribedOptions):
     def lacks_for(self, safe: str) -> str:
         if _NEEDED.get(safe, set()) <= {*self.described.tell, *self.described.state}:
             return ""
-        return 'its description lacks [tell.off], or the state that shows its effect: add both, or choose "hold"'
+        instead = '"ambient" or "hold"' if safe == "standby" else '"hold"'
+        lacks = "its description lacks [tell.off], or the state that shows its effect"
+        return f"{lacks}: add both by `changes`, or choose {instead}"
 
     def link(self, line: Transport, clock: Clock) -> Exchange:
         said = self.described.line

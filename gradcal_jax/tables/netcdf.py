@@ -81,10 +81,9 @@ def write_netcdf(
                 file.dimensions = dict(dimensions)
                 file.attrs.update(attributes)
                 for name, variable in variables.items():
-                    text, real = variable.kind is str, variable.kind is np.float64
-                    kind = h5py.string_dtype() if text else variable.kind
+                    kind = h5py.string_dtype() if variable.kind is str else variable.kind
                     # Every value is written: HDF5 need not fill the file with NaN before.
-                    fill = {"fillvalue": np.nan, "fill_time": "never"} if real else {}
+                    fill = {"fillvalue": np.nan, "fill_time": "never"} if kind is np.float64 else {}
                     made = file.create_variable(name, variable.dimensions, kind, **fill)
                     made.attrs.update(variable.attributes)
                 for name, place, values in contents:

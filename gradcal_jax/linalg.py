@@ -28,9 +28,11 @@ _LARGE = 200_000
 
 def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
     """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`; JAX's has a derivative for any rows."""
-    if isinstance(rows, jax.Array):
+    (n, p), xp = rows.shape, namespace(rows)
+    if n < p:
+        rows = xp.concatenate([rows, xp.zeros((p - n, p), rows.dtype)])
+    if xp is jnp:
         return _triangular_factor(rows)
-    n, p = rows.shape
     if n >= _TALL * p:
         try:
             first = np.linalg.cholesky(rows.T @ rows).T
@@ -42,10 +44,8 @@ def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
                 inverse = scipy.linalg.solve_triangular(first, np.eye(p), check_finite=False)
                 if np.sum(first**2) * np.sum(inverse**2) < _WELL_CONDITIONED:
                     return first
-            orthogonal = scipy.linalg.solve_triangular(first, rows.T, trans=1, check_finite=False)
-            return np.linalg.cholesky(orthogonal @ orthogonal.T).T @ first
-    factor = np.linalg.qr(np.concatenate([rows, np.zeros((max(0, p - n), p))]), mode="r")
-    return np.triu(factor * np.where(np.diagonal(factor) < 0.0, -1.0, 1.0)[:, None])
+            return _by_two_products(rows, first)
+    return _by_reflections(rows)
 
 
 @jax.custom_jvp
@@ -57,11 +57,7 @@ def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     diagonal) contribute nothing, so every differentiable function of `RᵀR` has its derivative, and none is NaN.
     """
     n, p = rows.shape
-    if n < p:
-        rows = jnp.concatenate([rows, jnp.zeros((p - n, p), rows.dtype)])
-    if n < _TALL * p:
-        return _by_reflections(rows)
-    return _of_tall(rows.T @ rows, lambda: rows)
+    return _by_reflections(rows) if n < _TALL * p else _of_tall(rows.T @ rows, lambda: rows)
 
 
 def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tuple[Float[Array, "p p"], Array]:
@@ -96,16 +92,16 @@ def _of_tall(product: Float[Array, "p p"], rows: Callable[[], Array]) -> Float[A
     return jax.lax.switch(sound.astype(int) + good.astype(int), ways, first)
 
 
-def _by_two_products(rows: Float[Array, "n p"], first: Float[Array, "p p"]) -> Float[Array, "p p"]:
-    orthogonal = solve_triangular(first, rows.T, trans=1, lower=False)
-    second = jnp.linalg.cholesky(orthogonal @ orthogonal.T).T
-    return second @ first
+def _by_two_products(rows: Float[AnyArray, "n p"], first: Float[AnyArray, "p p"]) -> Float[AnyArray, "p p"]:
+    orthogonal = solve_transposed(first, rows.T)
+    return namespace(rows).linalg.cholesky(orthogonal @ orthogonal.T).T @ first
 
 
-def _by_reflections(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
-    factor = jnp.linalg.qr(rows, mode="r")
-    sign = jnp.where(jnp.diagonal(factor) < 0.0, -1.0, 1.0).astype(rows.dtype)
-    return jnp.triu(factor * sign[:, None])
+def _by_reflections(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
+    xp = namespace(rows)
+    factor = xp.linalg.qr(rows, mode="r")
+    sign = xp.where(xp.diagonal(factor) < 0.0, -1.0, 1.0).astype(rows.dtype)
+    return xp.triu(factor * sign[:, None])
 
 
 @_triangular_factor.defjvp

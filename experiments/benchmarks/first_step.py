@@ -53,16 +53,16 @@ def of_predictions(path: Path) -> float:
 
     from gradcal_jax.information.prediction import requirement_rows
     from gradcal_jax.spec.changes import changed
-    from gradcal_jax.sweeps.sweep import changes_of, points_of
+    from gradcal_jax.sweeps.sweep import changes_of
     from gradcal_jax.sweeps.sweep_file import read_sweep
 
     job = read_sweep(path)
-    _, points = points_of(job)
+    points = changes_of(job)
     chosen = np.random.default_rng(0).choice(len(points), POINTS, replace=False)
     requirement_rows(job.base)
     begun = time.process_time()
     for k in chosen:
-        requirement_rows(changed(job.base, changes_of(job, points[int(k)])))
+        requirement_rows(changed(job.base, points[int(k)]))
     return (time.process_time() - begun) / POINTS
 
 

@@ -99,11 +99,11 @@ def main() -> None:
         return
     import numpy as np
 
-    from gradcal_jax.sweeps.sweep import changes_of, points_of, read_dataset
+    from gradcal_jax.sweeps.sweep import changes_of, read_dataset
     from gradcal_jax.sweeps.sweep_file import read_sweep
 
     job = read_sweep(HERE / "sweep.toml")
-    _, points = points_of(job)
+    points = changes_of(job)
     chosen = np.sort(np.random.default_rng(0).choice(len(points), asked.sample, replace=False))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -113,7 +113,7 @@ def main() -> None:
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     peer = subprocess.run(
         [sys.executable, __file__, "--loop"],
-        input=json.dumps([changes_of(job, points[int(i)]) for i in chosen]),
+        input=json.dumps([points[int(i)] for i in chosen]),
         env={**os.environ, **one_thread},
         capture_output=True,
         text=True,

@@ -3,9 +3,7 @@
 The header's text is `templates/calibration.h`.
 """
 
-from collections.abc import Iterable, Iterator
-from functools import partial
-from itertools import islice
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,12 +49,15 @@ class Header:
         self.inputs = [*(name for name in SIGNALS if name in used), *sorted(used.difference(SIGNALS))]
         self.terms = sorted((self._term(*of) for of in terms), key=lambda term: not term.across)
         low, high = calibration.valid_temperature
-        self.matrix, self.bias = linear_part(channels, 0.5 * (low + high), self.inputs)
-        self.inverse = np.linalg.inv(self.matrix)
+        matrix, bias = linear_part(channels, 0.5 * (low + high), self.inputs)
+        self.inverse = np.linalg.inv(matrix)
         # Of each channel: lowest and highest temperature, and rate.
         self.ranges = np.zeros((len(self.inputs), 4), _F)
         for channel in channels:
             self.ranges[self.inputs.index(channel.input)] = (*channel.valid_temperature, *channel.valid_rate)
+        temperature, true = within_ranges(calibration, self.inputs, _POINTS)
+        self.temperature, self.raw = temperature.astype(_F), (true @ matrix.T + bias).astype(_F)
+        self.rounds = self._rounds_needed(self.raw, self.temperature)
 
     def _term(self, channel: CalibratedChannel, term: CalibratedTerm) -> HeaderTerm:
         sides: list[float] = []
@@ -74,50 +75,57 @@ class Header:
         place = self.inputs.index(channel.input)
         return HeaderTerm(place, channel.misaligns(term), factors, np.array(sides, _F), table.reshape(rows, -1))
 
-    def rounds(self, raw: Floats | Floats32, temperature_c: Floats | Floats32) -> Iterator[Floats32]:
-        """The results `(n, channels)` after each round, computed in float32 as in C, without end."""
-        reading, temperature, inverse = raw.astype(_F), temperature_c.astype(_F), self.inverse.astype(_F)
+    def corrected(self, raw: Floats | Floats32, temperature_c: Floats | Floats32) -> Floats:
+        """The inputs `(n, channels)` for readings, computed in float32 as in C."""
+        reading, temperature = raw.astype(_F), temperature_c.astype(_F)
         out = np.zeros_like(reading)
-        while True:
-            along, error = out.copy(), np.zeros_like(out)
-            for of, across, factors, (t0, t1, w0, w1), table in self.terms:
-                low, high, slow, fast = self.ranges[of]
-                x = (np.clip(temperature, low, high) - t0) * t1
-                w = (np.clip(along[:, of], slow, fast) - w0) * w1
-                value = _polyval(x, _polyval(w, table.T), tensor=False)
-                for number in factors:
-                    k = abs(number) - 1
-                    signal = (along if k == of else out)[:, k]
-                    value = value * (np.abs(signal) if number < 0 else signal)
-                error[:, of] += value
-                if across:
-                    along[:, of] += value
-            left = reading - out - error
-            out = out.copy()
-            for j in range(len(self.inputs)):
-                out += inverse[:, j] * left[:, j : j + 1]
-            yield out
+        for _ in range(self.rounds):
+            out = self._round(out, reading, temperature)
+        return out.astype(np.float64)
 
-    def corrected(self, raw: Floats | Floats32, temperature_c: Floats | Floats32, rounds: int) -> Floats:
-        """The results `(n, channels)` after so many rounds."""
-        return next(islice(self.rounds(raw, temperature_c), rounds - 1, None)).astype(np.float64)
+    def _round(self, out: Floats32, reading: Floats32, temperature: Floats32) -> Floats32:
+        """The inputs after one more round."""
+        along, error, inverse = out.copy(), np.zeros_like(out), self.inverse.astype(_F)
+        for of, across, factors, (t0, t1, w0, w1), table in self.terms:
+            low, high, slow, fast = self.ranges[of]
+            x = (np.clip(temperature, low, high) - t0) * t1
+            w = (np.clip(along[:, of], slow, fast) - w0) * w1
+            value = _polyval(x, _polyval(w, table.T), tensor=False)
+            for number in factors:
+                k = abs(number) - 1
+                signal = (along if k == of else out)[:, k]
+                value = value * (np.abs(signal) if number < 0 else signal)
+            error[:, of] += value
+            if across:
+                along[:, of] += value
+        left = reading - out - error
+        out = out.copy()
+        for j in range(len(self.inputs)):
+            out += inverse[:, j] * left[:, j : j + 1]
+        return out
+
+    def _rounds_needed(self, reading: Floats32, temperature: Floats32) -> int:
+        """As many as large errors need."""
+        out = np.zeros_like(reading)
+        for number in range(1, _MOST):
+            before, out = out, self._round(out, reading, temperature)
+            change, size = np.max(np.abs(out - before), axis=0), np.max(np.abs(out), axis=0)
+            if number >= _FEWEST and np.all(change <= _SETTLED * size):
+                return number
+        return _MOST
 
 
 def c_header(calibration: Calibration, options: ExportOptions) -> Target:
     """The header's text and function. Raises `ValueError` for bases other than polynomials."""
     header = Header(calibration)
-    temperature, true = within_ranges(calibration, header.inputs, _POINTS)
-    raw = true @ header.matrix.T + header.bias
-    rounds = _rounds_needed(header, raw, temperature)
-    test_t, test_raw = temperature[:1].astype(_F), raw[:1].astype(_F)
-    out = header.corrected(test_raw, test_t, rounds)
-    rounding = np.max(np.abs(header.inverse) @ np.abs(test_raw[0]))  # of raw counts far off zero
+    raw, temperature = header.raw[:1], header.temperature[:1]
+    out = header.corrected(raw, temperature)
+    rounding = np.max(np.abs(header.inverse) @ np.abs(raw[0]))  # of raw counts far off zero
     values: dict[str, Any] = {
         "calibration": calibration,
         "header": header,
-        "rounds": rounds,
-        "temperature": test_t,
-        "raw": test_raw[0],
+        "temperature": temperature,
+        "raw": raw[0],
         "out": out[0],
         "tolerance": [max(4e-6 * np.max(np.abs(out)), 4e-7 * rounding, 1e-7)],
         "floats": _literals,
@@ -125,18 +133,7 @@ def c_header(calibration: Calibration, options: ExportOptions) -> Target:
     }
     text = rendered(presets.template("calibration.h"), values)
     notes = ("float32, no allocation, no division; channels in the order of the header",)
-    return Target(text, partial(header.corrected, rounds=rounds), notes, header.inputs)
-
-
-def _rounds_needed(header: Header, raw: Floats, temperature_c: Floats) -> int:
-    """As many as large errors need."""
-    before = np.zeros_like(raw)
-    for number, out in enumerate(islice(header.rounds(raw, temperature_c), _MOST), 1):
-        change, size = np.max(np.abs(out - before), axis=0), np.max(np.abs(out), axis=0)
-        if number >= _FEWEST and np.all(change <= _SETTLED * size):
-            return number
-        before = out
-    return _MOST
+    return Target(text, header.corrected, notes, header.inputs)
 
 
 def _literals(values: Iterable[float]) -> str:

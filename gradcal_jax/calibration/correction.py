@@ -224,7 +224,8 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     number = log.unit_index(unit)
     usable, columns = log.usable(number), log.channels(number)
     gradients = [one for one in calibration.path if one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not one.own]
-    channels = [_with_gradient(channel, gradients) for channel in _common(calibration, columns)]
+    seen = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    channels = [_with_gradient(channel, gradients) for channel in _common(calibration, seen)]
     terms = [term for channel in channels for term in channel.term]
     slopes = any(TEMPERATURE_RATE in term.signals for term in terms)
     temperature = log.bridged_temperature(number)
@@ -235,8 +236,7 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     slope = temperature_slope(temperature, log.time_s) if slopes else None
     lags = [float(channel.thermal_lag or 0.0) for channel in channels]
     followed = [formulas.followed(temperature, log.time_s, log.stretch_starts, lag) for lag in lags]
-    readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
-    corrected = correct(channels, readings, followed, slope)
+    corrected = correct(channels, {_input(name): values for name, values in seen.items()}, followed, slope)
     beyond, outside_rate = np.zeros(len(usable), bool), 0
     for channel, of in zip(channels, followed, strict=True):
         beyond |= _outside(of, channel.valid_temperature)
@@ -272,13 +272,12 @@ def _input(label: str) -> str:
     return f"{'rate' if kind == 'gyro' else 'force'} {axis}"
 
 
-def _common(calibration: Calibration, channels: Mapping[str, Floats]) -> list[CalibratedChannel]:
+def _common(calibration: Calibration, has: Mapping[str, Floats]) -> list[CalibratedChannel]:
     """The calibration's channels that a log has. Raises `LogError` where it has none, or not all that these need."""
-    has = {label for label, values in channels.items() if np.isfinite(values).any()}
     common = [channel for channel in calibration.channel if channel.label in has]
     if not common:
         raise LogError(
-            f"none of the log's channels ({', '.join(channels)}) is in the calibration "
+            f"none of the log's channels ({', '.join(has)}) is in the calibration "
             f"({', '.join(channel.label for channel in calibration.channel)})"
         )
     needed = {name.strip("|") for channel in common for term in channel.term for name in term.signals}

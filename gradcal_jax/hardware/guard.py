@@ -214,7 +214,9 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     rig = read_rig("rig.toml")
     configs_of(rig)
     run = os.getppid()
-    print("ready", flush=True)
+    # (A run that has ended already is heard below.)
+    with suppress(BrokenPipeError):
+        os.write(1, b"ready\n")
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def listen() -> None:

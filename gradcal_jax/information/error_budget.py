@@ -69,7 +69,7 @@ class ErrorBudget:
             self._add(name, column[:, None])
         figures = _active_sources(built)
         models = {name: with_ratios(model, figures, {of: float(of == name) for of in figures}) for name in figures}
-        parts = noise_parts(motion, models, nodes, steps) if models else {}
+        parts = noise_parts(motion, models, nodes) if models else {}
         for name, part in zip(parts, noise_of_sums(steps, gain, list(parts.values())), strict=True):
             self.parts[name] = self.parts.get(name, 0.0) + part
 

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed, taken
-from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
+from gradcal_jax.information.noise_steps import NoisePart, NoiseSteps, drive_rates, process_steps
 from gradcal_jax.model import BodyNodes, ImuModel, NodeGroup
 from gradcal_jax.model.terms import Term
 from gradcal_jax.motion import TableMotion
@@ -104,12 +104,10 @@ def imu_system(
     return steps, _by_steps(columns, row)
 
 
-def noise_parts(
-    motion: TableMotion, models: Mapping[str, ImuModel], nodes: BodyNodes, steps: NoiseSteps
-) -> dict[str, NoiseSteps]:
-    """The parts of a system's noise, by models of one structure; with the observations of `steps`, of all noise."""
+def noise_parts(motion: TableMotion, models: Mapping[str, ImuModel], nodes: BodyNodes) -> dict[str, NoisePart]:
+    """The parts of a system's noise, by models of one structure."""
     at = segments_of(motion, next(iter(models.values())))
-    return {name: _joint_steps(motion, model, nodes, at, steps.observation)[0] for name, model in models.items()}
+    return {name: NoisePart(*_moving_steps(motion, model, nodes, at)[1:]) for name, model in models.items()}
 
 
 def row_of_steps(motion: TableMotion, model: ImuModel) -> np.ndarray:
@@ -155,10 +153,25 @@ def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Floa
     return columns if xp is np and np.all(seen) else xp.where(seen[None, :], columns, 0.0)
 
 
-def _joint_steps(
-    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, observed: AnyArray | None = None
-) -> tuple[NoiseSteps, np.ndarray]:
-    """The steps, and the row that each reads (−1: none). `observed`: the observations, if they are known."""
+def _joint_steps(motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments) -> tuple[NoiseSteps, np.ndarray]:
+    """The steps, and the row that each reads (−1: none)."""
+    through, noise, initial = _moving_steps(motion, model, nodes, at)
+    # No step lies between rows of one segment; steps within a segment have no row.
+    source, row = _order(at, _by_pieces(model))
+    fresh, stays = np.flatnonzero(np.diff(source, prepend=-1)), np.ones(len(row), bool)
+    stays[fresh] = False
+    if len(fresh) < len(row):
+        still = np.broadcast_to(np.eye(len(initial)), (len(row), *initial.shape))
+        through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
+    observed = _by_steps(_observations(motion, model, nodes, at, len(initial)), row)
+    used = at.used[row] & (row >= 0)
+    return NoiseSteps(through, noise, observed, namespace(through).zeros(len(row)), used, initial, stays), row
+
+
+def _moving_steps(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments
+) -> tuple[Float[AnyArray, "M n n"], Float[AnyArray, "M n n"], Float[AnyArray, "n n"]]:
+    """Transition and covariance of every step between rows, and the covariance of the initial state."""
     xp, line, by_pieces, every = namespace(motion, model, nodes), motion.line, _by_pieces(model), slice(None)
     # One step for each segment, or for each piece.
     duration = line.duration if by_pieces else at.sums(line.duration)
@@ -209,17 +222,7 @@ def _joint_steps(
     covariance.append(((every, errors, errors), drawn))
     initial.append(((errors, errors), first_errors))
     through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
-    # No step lies between rows of one segment; steps within a segment have no row.
-    source, row = _order(at, by_pieces)
-    fresh, stays = np.flatnonzero(np.diff(source, prepend=-1)), np.ones(len(row), bool)
-    stays[fresh] = False
-    if len(fresh) < len(row):
-        still = np.broadcast_to(np.eye(n), (len(row), n, n))
-        through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
-    if observed is None:
-        observed = _by_steps(_observations(motion, model, nodes, at, n), row)
-    used, whole = at.used[row] & (row >= 0), placed((n, n), *initial)
-    return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
+    return through, noise, placed((n, n), *initial)
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -41,6 +41,21 @@ class NoiseSteps(NamedTuple):
     initial: Float[AnyArray, "n n"]
     stays: Bool[AnyArray, " N"] | None = None
 
+    def moves(self) -> np.ndarray:
+        """`(N,)`: whether a step precedes the reading."""
+        return np.ones(len(self.used), bool) if self.stays is None else ~np.asarray(self.stays)
+
+    def noise(self) -> "NoisePart":
+        """All of the states' noise."""
+        return NoisePart(self.covariance[self.moves()], self.initial)
+
+
+class NoisePart(NamedTuple):
+    """A part of a system's noise: its covariance in each of the `M` steps that precede a reading, and at the begin."""
+
+    covariance: Float[AnyArray, "M n n"]
+    initial: Float[AnyArray, "n n"]
+
 
 def process_steps(
     p: Processes,
@@ -133,16 +148,15 @@ def varying_drive(
     drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate[:, None, :]
     # Moves are divided to keep λD small only for the processes that the rate drives.
     x = xp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
-    # e^(−λ(s−u)) between all nodes, including those before u, which the interpolation needs.
-    apart = xp.asarray(nodes[None, :] - nodes[:, None])
-    fading = xp.exp(-x[..., None] * apart[None, None])
-    h = duration * ((_tail_integration()[None, None] * fading) @ drive[..., None])[..., 0]
+    # e^(−λ(s−u)) = e^(−λs)/e^(−λu), as λD is small.
+    fading = xp.exp(-x * nodes[None, None])
+    faded = drive * fading
+    h = duration * (faded @ _tail_integration().T) / fading
     d = duration[..., 0]
     diffusion = p.diffusion[None, :] ** 2
-    at = nodes[None, None]
-    to_angle = d * ((drive * xp.exp(-x * at)) @ weights)
+    to_angle = d * (faded @ weights)
     q_angle = diffusion * d * (h**2 @ weights)
-    q_cross = diffusion * d * ((h * xp.exp(-x * (1.0 - at))) @ weights)
+    q_cross = diffusion * d * ((h * xp.exp(-x) / fading) @ weights)
     return to_angle, q_angle, q_cross
 
 

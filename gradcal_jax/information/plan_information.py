@@ -100,7 +100,7 @@ def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Po
     own, estimator = model.calibrated, estimator_of_means(motion, model, steps, columns)
     stds = [term.stds for term in model.installation]
     shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])
-    known = spread_of(estimator, noise_of_sums(steps, estimator.weights, [steps])[0] + shared @ shared.T)
+    known = spread_of(estimator, noise_of_sums(steps, estimator.weights, [steps.noise()])[0] + shared @ shared.T)
     beyond = [(0, model.size - own), (0, 0)]
     return Posterior(np.pad(known.spread, beyond), np.pad(known.hidden, beyond))
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
-from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.noise_steps import NoisePart, NoiseSteps
 from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
 from gradcal_jax.tables.display import summary
 
@@ -141,25 +141,29 @@ def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Poste
 
 
 def noise_of_sums(
-    steps: NoiseSteps, weights: Float[np.ndarray, "N m"], parts: Sequence[NoiseSteps]
+    steps: NoiseSteps, weights: Float[np.ndarray, "N m"], parts: Sequence[NoisePart]
 ) -> list[Float[np.ndarray, "m m"]]:
-    """`weightsᵀ V weights`, the covariance of m weighted sums of all readings, for each part V of the noise of `steps`.
+    """`weightsᵀ V weights`, the covariance of m weighted sums of all readings, for each part V of the noise of `steps`,
+    whose readings have none of their own.
 
     With the adjoint `ρ_k = H_k w_k + F_k₊₁ᵀ ρ_k₊₁`, backwards, it is a sum over the steps' noises and the start.
     """
     count, n = steps.observation.shape
-    totals = [(weights * np.asarray(part.reading_variance)[:, None]).T @ weights for part in parts]
+    totals = [np.zeros((weights.shape[1],) * 2) for _ in parts]
     later = np.zeros((n, weights.shape[1]))
+    moves = steps.moves()
+    number = np.cumsum(moves) - 1
     for begin in reversed(range(0, count, _TOGETHER)):
-        at = slice(begin, begin + _TOGETHER)
-        transition, observation = np.asarray(steps.transition[at]), np.asarray(steps.observation[at])
-        responses = observation[:, :, None] * weights[at, None, :]
-        for k in reversed(range(len(responses))):
-            responses[k] += later
-            later = transition[k].T @ responses[k]
+        at = np.arange(begin, min(begin + _TOGETHER, count))
+        responses = np.asarray(steps.observation)[at, :, None] * weights[at, None, :]
+        for k in reversed(at):
+            responses[k - begin] += later
+            later = np.asarray(steps.transition[k]).T @ responses[k - begin] if moves[k] else responses[k - begin]
+        responses, at = responses[moves[at]], number[at[moves[at]]]
         for total, part in zip(totals, parts, strict=True):
             # A source acts on few of the states.
-            driven = np.flatnonzero(np.any(part.covariance[at], axis=(0, 1)))
-            own, noise = responses[:, driven], np.asarray(part.covariance[at])[:, driven[:, None], driven]
+            noise = np.asarray(part.covariance[at])
+            driven = np.flatnonzero(np.any(noise, axis=(0, 1)))
+            own, noise = responses[:, driven], noise[:, driven[:, None], driven]
             total += np.reshape(own, (-1, own.shape[2])).T @ np.reshape(noise @ own, (-1, own.shape[2]))
     return [total + later.T @ np.asarray(part.initial) @ later for total, part in zip(totals, parts, strict=True)]

@@ -68,20 +68,20 @@ class SweepIncomplete(RuntimeError):
 # --- points -----------------------------------------------------------------------------------------------------------
 
 
-def points_of(job: Sweep) -> tuple[tuple[int, ...], list[tuple[object, ...]]]:
-    """The shape of the results, and for each point one value of every axis; the last axis is fastest."""
-    listed = [axis.listed() for axis in job.file.axis]
-    return tuple(map(len, listed)), list(itertools.product(*listed))
-
-
-def changes_of(job: Sweep, values: tuple[object, ...]) -> dict[str, object]:
-    """The changes of the base at a point: whole sections of other specs first, then single keys."""
-    of_axes = sorted(zip(job.file.axis, values, strict=True), key=lambda one: one[0].section is None)
-    return {
-        key: value if axis.section is None else job.sections[axis.section, str(value)]
-        for axis, value in of_axes
-        for key in axis.changes
-    }
+def changes_of(job: Sweep) -> list[dict[str, object]]:
+    """The changes of the base at each point, of which the last axis is fastest: whole sections of other specs first,
+    then single keys."""
+    points = list[dict[str, object]]()
+    for values in itertools.product(*(axis.listed() for axis in job.file.axis)):
+        of_axes = sorted(zip(job.file.axis, values, strict=True), key=lambda one: one[0].section is None)
+        points.append(
+            {
+                key: value if axis.section is None else job.sections[axis.section, str(value)]
+                for axis, value in of_axes
+                for key in axis.changes
+            }
+        )
+    return points
 
 
 # --- one point, in a worker -------------------------------------------------------------------------------------------
@@ -231,10 +231,9 @@ def sweep(
     if workers is None:
         with local_workers() as own:
             return sweep(job, output, workers=own, most=most, progress=progress)
-    shape, points = points_of(job)
-    base = json.dumps(tables_of(job.base))
+    points, base = changes_of(job), json.dumps(tables_of(job.base))
     with kept_records(output.with_name(f"{output.name}.parts"), identity_of(job)) as (records, add):
-        left = {i: (job.file.do, base, changes_of(job, v)) for i, v in enumerate(points) if i not in records}
+        left = {i: (job.file.do, base, changes) for i, changes in enumerate(points) if i not in records}
         progress(len(records), len(points))
         for key, record in completed(workers, left, most or 2 * (os.cpu_count() or 1)):
             add(key, record)
@@ -245,7 +244,7 @@ def sweep(
         ordered = [records[i] for i in range(len(points))]
         if all(record["failure"] for record in ordered):
             raise ValueError(f"none of the {len(points)} points has a result; the first: {ordered[0]['failure']}")
-        results = dataset_of(job, shape, ordered)
+        results = dataset_of(job, ordered)
         save_netcdf(results, output)
     return results
 
@@ -256,11 +255,12 @@ def variable_name(text: str) -> str:
     return plain if plain and not plain[0].isdigit() else f"v_{plain}"
 
 
-def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xarray.Dataset:
+def dataset_of(job: Sweep, records: list[Record]) -> xarray.Dataset:
     """The results over the axes. Requirements give `<name>_residual`, as `gradcal predict` prints it, by the terms of
     the file alone `<name>_<statistic>` (1σ; NaN: no result, or not observable), and `<name>_verdict`; `failure` says
     why a point has no result."""
     dims = tuple(variable_name(axis.label) for axis in job.file.axis)
+    shape = [len(axis.listed()) for axis in job.file.axis]
     coordinates, variables = dict[str, Any](), dict[str, Any]()
     for axis, name in zip(job.file.axis, dims, strict=True):
         numbers = [axis.number_of(value) for value in axis.listed()]

@@ -35,7 +35,12 @@ def load_netcdf(path: str | Path) -> Any:
         raise NetcdfError(f"it is not a netCDF 4 file{hint}")
     try:
         _check(path)
-        return _load(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # of what other programs' files lack; the reader of the contents judges them
+            with import_module("xarray").open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
+                return opened.load()
     except NetcdfError:
         raise
     except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF
@@ -76,10 +81,9 @@ def write_netcdf(
                 file.dimensions = dict(dimensions)
                 file.attrs.update(attributes)
                 for name, variable in variables.items():
-                    text, real = variable.kind is str, variable.kind is np.float64
-                    kind = h5py.string_dtype() if text else variable.kind
+                    kind = h5py.string_dtype() if variable.kind is str else variable.kind
                     # Every value is written: HDF5 need not fill the file with NaN before.
-                    fill = {"fillvalue": np.nan, "fill_time": "never"} if real else {}
+                    fill = {"fillvalue": np.nan, "fill_time": "never"} if kind is np.float64 else {}
                     made = file.create_variable(name, variable.dimensions, kind, **fill)
                     made.attrs.update(variable.attributes)
                 for name, place, values in contents:
@@ -129,6 +133,8 @@ def _check(path: Path) -> None:
     h5py: Any = import_module("h5py")
     seen = declared = 0
     with h5py.File(path, "r") as file:
+        # Read here: what xarray does when it gives up on a damaged file prints a traceback of its own.
+        file.attrs.get("_nc3_strict")
 
         def fault(name: str, link: Any) -> str | None:
             nonlocal seen, declared
@@ -149,13 +155,3 @@ def _check(path: Path) -> None:
         check_size(declared, path.stat().st_size)
     except ValueError as error:
         raise NetcdfError(str(error)) from None
-
-
-def _load(path: Path) -> Any:
-    # h5py first: what xarray does when it gives up on a damaged file prints a traceback of its own.
-    with import_module("h5py").File(path, "r") as damaged:
-        damaged.attrs.get("_nc3_strict")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what other programs' files lack; the reader of the contents judges them
-        with import_module("xarray").open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
-            return opened.load()

@@ -3,10 +3,10 @@
 import json
 import os
 import re
-import tempfile
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, Final, cast
 
 from gradcal_jax.tables.section import Section
@@ -42,26 +42,21 @@ def whole(path: str | Path) -> Generator[Path]:
     """Context with a temporary name beside `path` for a writer: the file is moved to `path` at the end, so that it is
     complete or absent after a kill, and removed on a full disk. Errors: `OSError` that names `path`."""
     path = Path(path)
-    passing: Path | None = None
+    # The ending stays, because some writers depend on it.
+    passing = path.parent / f".{path.stem}.{token_hex(8)}{path.suffix}"
     try:
-        # The ending stays, because some writers depend on it.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-        os.close(handle)
-        passing = Path(name)
+        passing.touch(exist_ok=False)
         yield passing
         with passing.open("rb") as written:
             os.fsync(written.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        passing.chmod(0o666 & ~umask)
         passing.replace(path)
     except OSError as error:
         if error.errno is None:
             raise
         raise type(error)(error.errno, error.strerror or str(error), str(path)) from None
     finally:
-        if passing is not None:
-            passing.unlink(missing_ok=True)
+        with suppress(OSError):
+            passing.unlink()
 
 
 def _lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:

@@ -132,6 +132,16 @@ def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said, acts, tmp_path):
     assert not acts or "the guard makes the rig safe" in heard.read_text()
 
 
+def test_a_run_that_ends_before_the_guard_is_ready_leaves_it_nothing_to_do(tmp_path):
+    (tmp_path / "rig.toml").write_text(TEMPLATE, encoding="utf-8")
+    reader, writer = os.pipe()
+    os.close(reader)
+    begun = [sys.executable, "-I", "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
+    done = subprocess.run(begun, stdin=subprocess.DEVNULL, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path):
     (tmp_path / "rig.toml").write_text("format = 1")
     with pytest.raises(HardwareError, match="cannot work with"), closing(guard.Guard(tmp_path)):

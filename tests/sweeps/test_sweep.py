@@ -13,7 +13,7 @@ from jobs_small import GRID, written
 
 import gradcal_jax as gj
 from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.sweeps.sweep import changes_of, evaluate, identity_of, kept_records, local_workers, points_of, sweep
+from gradcal_jax.sweeps.sweep import changes_of, evaluate, identity_of, kept_records, local_workers, sweep
 from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
 
 IMU = """format = "gradcal-sweep/1"
@@ -43,9 +43,8 @@ def done(tmp_path_factory, pool):
 def test_every_point_is_what_predict_says(done):
     job, results = done
     assert results.sizes == {"rest": 4, "peak_rate": 3}
-    shape, points = points_of(job)
-    expected = gj.predict(gj.changed(job.base, changes_of(job, points[7])))
-    place = np.unravel_index(7, shape)
+    expected = gj.predict(gj.changed(job.base, changes_of(job)[7]))
+    place = np.unravel_index(7, (4, 3))
     scale, bias = expected.requirements
     for name in ("mean_of_max", "max", "mean", "rms"):
         assert results[f"scale_{name}"].values[place] == pytest.approx(getattr(scale, name), rel=1e-12)
@@ -145,8 +144,8 @@ def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
 def test_an_imu_is_swept():
     job = parse_sweep(IMU)
     base = json.dumps(tables_of(job.base))
-    _, points = points_of(job)
-    first, _, wrong = (evaluate("predict", base, changes_of(job, point)) for point in points)
+    points = changes_of(job)
+    first, _, wrong = (evaluate("predict", base, changes) for changes in points)
     assert "rig.table.tilt" in wrong["failure"]
-    for k, row in enumerate(gj.predict(gj.changed(job.base, changes_of(job, points[0]))).requirements):
+    for k, row in enumerate(gj.predict(gj.changed(job.base, points[0])).requirements):
         assert first[f"{k} {row.statistic}"] == pytest.approx(row.decisive, rel=1e-12)

@@ -59,7 +59,7 @@ static inline float gradcal_clip(float x, float low, float high)
 static inline void gradcal_correct(float temperature, const float raw[GRADCAL_CHANNELS], float out[GRADCAL_CHANNELS])
 {
     for (int k = 0; k < GRADCAL_CHANNELS; k++) out[k] = 0.0f;
-    for (int round = 0; round < {{ rounds }}; round++) {
+    for (int round = 0; round < {{ header.rounds }}; round++) {
         float along[GRADCAL_CHANNELS];    /* inputs along the axes of sensitivity: the channels' own signals */
         float error[GRADCAL_CHANNELS] = {0.0f};
         for (int k = 0; k < GRADCAL_CHANNELS; k++) along[k] = out[k];

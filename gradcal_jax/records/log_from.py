@@ -59,9 +59,9 @@ def log_from(
         if key not in _SI:
             raise LogError(f"units: {key!r}: {instead(key, _SI)}")
     count = np.asarray(time).shape
-    if not (isinstance(sensor, str) and sensor):
+    if type(sensor) is not str or not sensor:
         raise LogError(f"sensor: {sensor!r} is no name")
-    if not isinstance(simulated, bool):
+    if simulated not in (True, False):
         raise LogError(f"simulated: {simulated!r} is not True or False")
 
     def fitting(kind: str, value: Any) -> Any:

@@ -90,8 +90,8 @@ def optimise(
 
 
 def search_and_watch(spec: "Spec", *, steps: int | None, until_met: bool) -> tuple["Optimised", bool]:
-    """The best plan, with a line of progress; and whether Ctrl-C ended the search; options as
-    of `design.optimise.run_search`."""
+    """The best plan, with a line of progress; and whether Ctrl-C ended the search. Options: of
+    `design.optimise.run_search`."""
     from gradcal_jax.design.optimise import Optimised, run_search
 
     best: Optimised | None = None

@@ -61,7 +61,7 @@ def log_from(
     count = np.asarray(time).shape
     if type(sensor) is not str or not sensor:
         raise LogError(f"sensor: {sensor!r} is no name")
-    if simulated not in (True, False):
+    if type(simulated) is not bool:
         raise LogError(f"simulated: {simulated!r} is not True or False")
 
     def fitting(kind: str, value: Any) -> Any:

@@ -177,10 +177,8 @@ class Turn(_Move):
 
     def _ramped(self, axis: TableAxis) -> ResolvedMove:
         shape, angle = self.shape or "cosine ramps", float(self.turn)
-        peak, steepness = (
-            float(axis.max_rate if self.peak_rate is None else self.peak_rate),
-            formulas.RAMPS[shape].steepness,
-        )
+        peak = float(axis.max_rate if self.peak_rate is None else self.peak_rate)
+        steepness = formulas.RAMPS[shape].steepness
         if self.duration is None:
             # Without a flat part θ = A·ramp, ramp = least·A.
             least = steepness / float(axis.max_acceleration)

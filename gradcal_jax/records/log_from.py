@@ -59,6 +59,8 @@ def log_from(
         if key not in _SI:
             raise LogError(f"units: {key!r}: {instead(key, _SI)}")
     count = np.asarray(time).shape
+    if 0 in count:
+        raise LogError("time has no values: the log would have no rows")
     if type(sensor) is not str or not sensor:
         raise LogError(f"sensor: {sensor!r} is no name")
     if type(simulated) is not bool:

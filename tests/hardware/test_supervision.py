@@ -64,6 +64,10 @@ def test_the_list_is_confirmed_or_nothing_begins(tmp_path, capsys, monkeypatch, 
         assert is_untold(lab)
 
 
+def is_warm(status):
+    return bool(status.get("course_c")) and status["chamber"]["air_c"] > 24.5
+
+
 def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path, capsys):
     seen = []
     with Rig(VirtualClock()) as lab:
@@ -71,9 +75,15 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path, c
         run = new_folder(tmp_path / "run", short_recipe(2.0), lab.rig, simulated={}, about=about)
 
         def look(progress):
-            # The file is replaced whole: whoever reads it at any time finds all of it.
-            if (run.path / "status.json").exists():
-                seen.append(read_status(run.path))
+            # (A thread of its own writes the file: the run waits once, with warm air, until the file says so.)
+            end = time.monotonic() + 20.0 * (is_warm(progress.as_status()) and not any(map(is_warm, seen)))
+            while True:
+                # The file is replaced whole: whoever reads it at any time finds all of it.
+                if (run.path / "status.json").exists():
+                    seen.append(read_status(run.path))
+                if time.monotonic() > end or any(map(is_warm, seen)):
+                    return
+                time.sleep(0.05)
 
         result = run_session(run, lab.clock, on_progress=look)
     assert (result.exit_status, result.verified_safe) == ("success", True)
@@ -82,7 +92,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path, c
     samples, lost = last["samples"]["imu1"]
     assert (samples > 1000, lost) == (True, 0)
     running = [status for status in seen if status["state"] == "running"]
-    assert any(status["course_c"] and status["chamber"]["air_c"] > 24.5 for status in running)
+    assert any(is_warm(status) for status in running)
     assert RunFolder(run.path).notes()["about"] == about
     assert log(run.path).provenance["operator"] == "A. Person"
     assert main(["rig", "watch", str(run.path)]) == 0

@@ -55,6 +55,7 @@ def test_columns_of_a_data_frame_with_units(imported):
     [
         ((TIME, RATES[:100]), "the shape"),
         ((TIME, np.zeros((2000, 4))), "expected"),
+        (([], np.zeros((0, 3))), "time has no values"),
         ((TIME, 1j * RATES), "rate has no numbers"),
         ((TIME, RATES.astype(str)), "rate has no numbers"),
         ((TIME, RATES, {"standstill": np.ones(9)}), "standstill has the shape"),

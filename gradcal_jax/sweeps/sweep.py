@@ -138,11 +138,12 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
     if (compiled := cache_folder()) is not None:
         environment["JAX_COMPILATION_CACHE_DIR"] = str(compiled)
         environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
-    many = count or loky.cpu_count()
 
     def start() -> Any:  # loky is without types
         reusable: Any = loky.get_reusable_executor
-        return reusable(many, timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),))
+        return reusable(
+            count or loky.cpu_count(), timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),)
+        )
 
     try:
         yield start
@@ -176,8 +177,12 @@ def identity_of(job: Sweep) -> dict[str, Any]:
     """What decides the results of a sweep: its request, and the versions that compute it."""
     others = [[*key, tables] for key, tables in sorted(job.sections.items())]
     request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
-    asked = {"asked": hashlib.sha256(request.encode()).hexdigest(), "points": job.file.count}
-    return asked | {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
+    return {
+        "asked": hashlib.sha256(request.encode()).hexdigest(),
+        "points": job.file.count,
+        "gradcal_jax": gradcal_jax.__version__,
+        **versions_of(_VERSIONS),
+    }
 
 
 @contextmanager
@@ -265,9 +270,11 @@ def dataset_of(job: Sweep, records: list[Record]) -> xarray.Dataset:
     for axis, name in zip(job.file.axis, dims, strict=True):
         numbers = [axis.number_of(value) for value in axis.listed()]
         attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes), "spacing": axis.spacing}
-        words = None in numbers
-        attributes |= {} if words else {"units": axis.unit or "1"}
-        column = np.array([*map(str, axis.listed())] if words else numbers, dtype=object if words else float)
+        if None in numbers:
+            column = np.array([str(value) for value in axis.listed()], dtype=object)
+        else:
+            column = np.array(numbers, dtype=float)
+            attributes["units"] = axis.unit or "1"
         coordinates[name] = ((name,), column, attributes)
 
     def add(name: str, key: str, words: str, **attributes: str) -> None:

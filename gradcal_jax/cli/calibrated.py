@@ -138,8 +138,8 @@ def export(
     output
         The file to write; by default the text is printed, and the list of losses goes to stderr.
     temperature
-        The temperature for which a kalibr or matrices file, or the matrices of a template, are computed, such as "25
-        degC".
+        The temperature of the matrices and biases, such as "25 degC": for kalibr, matrices, gains, tracker and ins; for
+        a template, if it uses them.
     instance
         Number of the sensor on the flight controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
@@ -157,7 +157,8 @@ def export(
     if output is not None:
         writable(output, force)
     if (format is None) == (template is None):
-        raise ValueError("give either the format (--format) or a template (--template)")
+        formats = ", ".join(name for name in exports.FORMATS if name != "template")
+        raise ValueError(f"state either a format with --format ({formats}) or a template with --template")
     text = None if template is None else read_text(template)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}

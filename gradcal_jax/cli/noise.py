@@ -35,9 +35,8 @@ def noise(
     bounds the drift (the Direct Bound of Z. Berman), as a part of a spec.
 
     The bias over temperature (a cubic, with a lag if that fits better) is subtracted first, if the temperature changes
-    by 5 K or more. The exit
-    status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk is larger
-    than that of any gyro: check the units.
+    by 5 K or more. The exit status is 1 if the record shows no drift in addition to the angle random walk, or if the
+    angle random walk is larger than that of any gyro: check the units.
 
     Parameters
     ----------

@@ -85,13 +85,13 @@ def _verdict(sources: Sources) -> str:
 def _sections(sources: Sources, history: RunHistory | None) -> list[PageSection]:
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     found = residuals_of(sources)
-    about = (
-        "What remains of each error within the stated range: the named statistic of one standard deviation (1σ). "
-        "Before: by the priors of the spec."
-    )
+    outcomes = outcome_table(sources, found)
+    about = "What remains of each error within the stated range: the named statistic of one standard deviation (1σ)."
+    if any(column.name == "before" for column in outcomes.columns):
+        about += " Before: by the priors of the spec."
     notes = [f"Note: {note}." for note in _notes(sources)]
     sections = [
-        PageSection("Requirements", [about, *notes], [outcome_table(sources, found)]),
+        PageSection("Requirements", [about, *notes], [outcomes]),
         PageSection("Residuals", pictures=list(residual_pictures(found))),
     ]
     if spec is not None:

@@ -31,7 +31,7 @@ from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import spec_of
-from gradcal_jax.sweeps.sweep_file import Sweep
+from gradcal_jax.sweeps.sweep_file import Sweep, SweptAxis
 from gradcal_jax.tables.locking import take
 from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.tables.writing import to_toml
@@ -260,11 +260,17 @@ def variable_name(text: str) -> str:
     return plain if plain and not plain[0].isdigit() else f"v_{plain}"
 
 
+def dimension_of(axis: SweptAxis) -> str:
+    """The name of an axis of the results; the whole key where a variable has the name, as for "plan.soak"."""
+    name = variable_name(axis.label)
+    return variable_name(axis.changes[0]) if name in _VARIABLES else name
+
+
 def dataset_of(job: Sweep, records: list[Record]) -> xarray.Dataset:
     """The results over the axes. Requirements give `<name>_residual`, as `gradcal predict` prints it, by the terms of
     the file alone `<name>_<statistic>` (1σ; NaN: no result, or not observable), and `<name>_verdict`; `failure` says
     why a point has no result."""
-    dims = tuple(variable_name(axis.label) for axis in job.file.axis)
+    dims = tuple(dimension_of(axis) for axis in job.file.axis)
     shape = [len(axis.listed()) for axis in job.file.axis]
     coordinates, variables = dict[str, Any](), dict[str, Any]()
     for axis, name in zip(job.file.axis, dims, strict=True):

@@ -44,11 +44,13 @@ class Table:
         return [tuple(shown(cell, at.digits) for at, cell in zip(self.columns, row, strict=True)) for row in self.rows]
 
     def text(self, *, indent: str = "", width: int = WIDTH) -> str:
-        """For a terminal: aligned columns, with numbers at the right; a last column of several words that is too wide
-        is wrapped into further lines."""
+        """For a terminal: aligned columns, with numbers at the right, without columns that have no words; a last column
+        of several words that is too wide is wrapped into further lines."""
         cells = [tuple(column.head for column in self.columns), *self.cells()]
         columns: list[list[str]] = []
         for texts, numeric in zip(zip(*cells, strict=True), self._numeric(), strict=True):
+            if self.rows and not any(texts[1:]):
+                continue
             size = max(map(len, texts))
             columns.append([text.rjust(size) if numeric else text.ljust(size) for text in texts])
         lines: list[str] = []

@@ -52,11 +52,13 @@ _VARIABLES: Final = {
 }
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox")
 _TRIES: Final = 3
-_ONE_THREAD: Final = {
+# Of a worker, which has one thread.
+_ENVIRONMENT: Final = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "JAX_PLATFORMS": "cpu",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
     "LOKY_MAX_MEMORY_LEAK_SIZE": "4e9",
 }
 
@@ -103,8 +105,8 @@ def evaluate(do: str, base: str, changes: Mapping[str, object]) -> Record:
             record |= {"convergence": best.sentence, "optimised_spec": to_toml(spec), "objective_before": best.before}
         record |= {name: getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
         for k, row in enumerate(requirement_rows(spec)):
-            values = {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
-            record |= values | {f"{k} residual": row.judged, f"{k} verdict": row.verdict or ""}
+            record |= {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
+            record |= {f"{k} residual": row.judged, f"{k} verdict": row.verdict or ""}
         return record
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
@@ -134,10 +136,9 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
     """Processes of this machine, by default one for each core."""
     import loky
 
-    environment = dict(_ONE_THREAD)
+    environment = dict(_ENVIRONMENT)
     if (compiled := cache_folder()) is not None:
         environment["JAX_COMPILATION_CACHE_DIR"] = str(compiled)
-        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
 
     def start() -> Any:  # loky is without types
         reusable: Any = loky.get_reusable_executor
@@ -167,7 +168,8 @@ def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: in
             if not isinstance(fault, BrokenExecutor):
                 raise fault  # of this program: `evaluate` returns the faults of points
             tries[key] += 1
-            waiting.extendleft([key] if tries[key] < _TRIES else [])
+            if tries[key] < _TRIES:
+                waiting.appendleft(key)
 
 
 # --- what is kept -----------------------------------------------------------------------------------------------------
@@ -175,10 +177,11 @@ def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: in
 
 def identity_of(job: Sweep) -> dict[str, Any]:
     """What decides the results of a sweep: its request, and the versions that compute it."""
-    others = [[*key, tables] for key, tables in sorted(job.sections.items())]
-    request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
+    request = [tables_of(job.file), tables_of(job.base)]
+    request += [[*key, tables] for key, tables in sorted(job.sections.items())]
+    text = json.dumps(request, sort_keys=True, ensure_ascii=False)
     return {
-        "asked": hashlib.sha256(request.encode()).hexdigest(),
+        "asked": hashlib.sha256(text.encode()).hexdigest(),
         "points": job.file.count,
         "gradcal_jax": gradcal_jax.__version__,
         **versions_of(_VERSIONS),
@@ -256,8 +259,8 @@ def sweep(
 
 def variable_name(text: str) -> str:
     """A name that programs can use: letters, digits and underscores."""
-    plain = re.sub(r"\W+", "_", text.strip()).strip("_")
-    return plain if plain and not plain[0].isdigit() else f"v_{plain}"
+    plain = re.sub(r"\W+", "_", text).strip("_")
+    return plain if plain.isidentifier() else f"v_{plain}"
 
 
 def dimension_of(axis: SweptAxis) -> str:

@@ -7,7 +7,7 @@ from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.information.residual import UNITS_OF_TERMS
 from gradcal_jax.spec.contracts import Prediction
 from gradcal_jax.tables.display import amount
-from gradcal_jax.tables.table import Cell, Column, Table, shown
+from gradcal_jax.tables.table import Cell, Column, Table, cell_text
 from gradcal_jax.units import DEG_PER_H, DEG_PER_S
 
 _ONE_SIGMA = Column("1σ", "", 3)
@@ -29,7 +29,8 @@ def coefficients(planned: Prediction | None, calibration: Calibration | None) ->
         rows = []
         for name, row in predicted.items():
             unit, factor = _UNITS.get(row.unit, (row.unit, 1.0))
-            rows.append((_with_words(name), "not observable" if row.std is None else shown(row.std * factor, 3), unit))
+            std = "not observable" if row.std is None else cell_text(row.std * factor, 3)
+            rows.append((_with_words(name), std, unit))
         return Table.of(["coefficient", "1σ", "unit"], rows)
     # Imported where it is used: a prediction needs no estimates.
     from gradcal_jax.estimation.calibration_rows import coefficient_rows

@@ -110,8 +110,9 @@ class PathCoefficient(Section):
 
     @property
     def label(self) -> str:
-        """Its name for people, as in "gyro x hysteresis 20K"."""
-        return f"{self.channel} {self.name}".replace("_", " ")
+        """Its name for people, as in "gyro x hysteresis 20K" or "gyro x bias by rate y times rate z"."""
+        words = re.sub(r"^ww_(\w)(\w)$", r"bias by rate \1 times rate \2", self.name)
+        return f"{self.channel} {words}".replace("_", " ")
 
 
 class Residuals(Section):

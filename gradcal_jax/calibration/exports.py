@@ -9,31 +9,22 @@
 Each export reports in numbers what its target cannot carry (see `losses`).
 """
 
-from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from gradcal_jax.calibration.c_header import c_header
-from gradcal_jax.calibration.correction import linear_part
+from gradcal_jax.calibration.equation import SIGNALS, linear_part
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.calibration.flight_controllers import ardupilot, px4
-from gradcal_jax.calibration.losses import ExportOptions, Loss, Target, losses_of
+from gradcal_jax.calibration.losses import Export, losses_of
 from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
-from gradcal_jax.tables.display import summary
 
-
-class Export(NamedTuple):
-    """`text` for the target's file, the losses, and notes for the user."""
-
-    text: str
-    losses: tuple[Loss, ...]
-    notes: tuple[str, ...]
-
-    __repr__ = summary
+_AT_ONE_TEMPERATURE: Final = ("kalibr", "matrices", "gains", "tracker", "ins")
+FORMATS: Final = ("ardupilot", "px4", "c-header", *_AT_ONE_TEMPERATURE, "csv", "template")
 
 
 def export(
@@ -51,19 +42,30 @@ def export(
     ArduPilot, from 0 for PX4); `device_id`: PX4's; `template`: the text of one. Returns the text, and every loss with
     its largest value and unit. Errors: `ValueError` with a sentence for what cannot be exported.
     """
-    if target not in FORMATS:
-        raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
-    whole = target in ("c-header", "csv") or (target == "template" and temperature_c is None)
-    named = calibration if whole else _in_triad(calibration)
-    done = FORMATS[target](named, ExportOptions(temperature_c, instance, device_id, template))
-    losses = [] if done.corrected is None else losses_of(named, done.inputs, done.corrected)
+    match target:
+        case "ardupilot":
+            done = ardupilot(_in_triad(calibration), instance)
+        case "px4":
+            done = px4(_in_triad(calibration), instance, device_id)
+        case "c-header":
+            done = c_header(calibration)
+        case "csv":
+            done = Export(rendered(presets.template("export-csv.j2"), _values(calibration)), (), ())
+        case "template":
+            done = _template(calibration, template, temperature_c)
+        case _ if target in FORMATS:
+            if temperature_c is None:
+                raise ValueError(f"{target} is for one temperature: state this temperature with --temperature")
+            done = _template(calibration, presets.template(f"export-{target}.j2"), temperature_c)
+        case _:
+            raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
     path = [f"{one.label}, {one.value:.3g} {one.unit}: the target has no place for it" for one in calibration.path]
     notes = [*done.notes, *path]
     if calibration.unobservable and target != "csv":
         notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     if calibration.simulated:
         notes.append("this calibration was made from SIMULATED data")
-    return Export(done.text, tuple(losses), tuple(notes))
+    return done._replace(notes=tuple(notes))
 
 
 def _in_triad(calibration: Calibration) -> Calibration:
@@ -102,73 +104,61 @@ def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
     return (r * signs[:, None]).T, (q * signs).T
 
 
-def _template(calibration: Calibration, options: ExportOptions) -> Target:
-    template, at = options.template, options.temperature_c
+def _template(calibration: Calibration, template: str | None, at: float | None) -> Export:
+    """A template of Jinja filled in; with the matrices at a temperature (°C), if there is one."""
     if template is None:
         raise ValueError(
             "the template is missing: name it with --template; gradcal start export-gains -o gains.j2 writes one"
         )
-    noise = dict(calibration.noise or ())
-    low, high = map(float, calibration.valid_temperature)
-    values: dict[str, Any] = {
-        "serial_number": calibration.serial_number,
-        "simulated": calibration.simulated,
-        "frame": calibration.frame,
-        "order": calibration.order,
-        "temperature_range": [low, high],
-        "coefficients": calibration.values(),
-        "rows": _rows(calibration),
-        "noise": {name: float(value) for name, value in noise.items() if value is not None},
-        "at": partial(linear_at, calibration),
-    }
     if at is None:
-        return Target(rendered(template, values), None, ("what the template does not use is lost, and not listed",))
+        text = rendered(template, _values(calibration))
+        return Export(text, (), ("what the template does not use is lost, and not listed",))
+    calibration = _in_triad(calibration)
+    low, high = calibration.valid_temperature
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
-    known = {channel.label for channel in calibration.channel}
-    absent = [label for kind in ("gyro", "accelerometer") for a in "xyz" if (label := f"{kind} {a}") not in known]
-    notes = [f"not calibrated, so assumed to be without errors: {', '.join(absent)}"] if absent else []
     matrix, bias = linear_part(calibration.channel, at, mean_over_rates=True)
     inverse = np.linalg.inv(matrix)
 
     def corrected(raw: Floats, temperature_c: Floats) -> Floats:
         return (raw - bias) @ inverse.T
 
-    text = rendered(template, values | linear_at(calibration, at) | {"temperature": at})
-    return Target(text, corrected, (*notes, "the losses are those of matrices and biases at this temperature"))
+    text = rendered(template, _values(calibration) | linear_at(calibration, at) | {"temperature": at})
+    known = {channel.label for channel in calibration.channel}
+    absent = [label for kind in ("gyro", "accelerometer") for a in "xyz" if (label := f"{kind} {a}") not in known]
+    notes = [f"not calibrated, so assumed to be without errors: {', '.join(absent)}"] if absent else []
+    notes.append("the losses are those of matrices and biases at this temperature")
+    return Export(text, losses_of(calibration, SIGNALS, corrected), tuple(notes))
 
 
-def _rows(calibration: Calibration) -> list[dict[str, str]]:
-    """A row for each coefficient, all in text: its term, value, standard deviation and bases."""
-    std = {name: repr(value) for name, value in calibration.deviations().items()}
-    rows: list[dict[str, str]] = []
+def _values(calibration: Calibration) -> dict[str, Any]:
+    """What a template can use at every temperature."""
+    noise = dict(calibration.noise or ())
+    return {
+        "serial_number": calibration.serial_number,
+        "simulated": calibration.simulated,
+        "frame": calibration.frame,
+        "order": calibration.order,
+        "temperature_range": [float(end) for end in calibration.valid_temperature],
+        "coefficients": calibration.values(),
+        "rows": _rows(calibration),
+        "noise": {name: float(value) for name, value in noise.items() if value is not None},
+        "at": partial(linear_at, calibration),
+    }
+
+
+def _rows(calibration: Calibration) -> list[dict[str, Any]]:
+    """A row for each coefficient: its term, value, standard deviation and bases."""
+    std = calibration.deviations()
+    rows: list[dict[str, Any]] = []
     for channel in calibration.channel:
         for term in channel.term:
             lag = 0.0 if term.temperature is None else float(channel.thermal_lag or 0.0)
-            row = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals), "unit": term.unit}
+            row: dict[str, Any] = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals)}
+            row |= {"unit": term.unit, "lag_s": lag}
             for key in ("temperature", "rate"):
                 keys: dict[str, Any] = term.model_dump(mode="json")[key] or {}
                 row[f"{key}_basis"] = "; ".join(f"{k}={v}" for k, v in keys.items())
             for name, value in term.coefficients.items():
-                own = {"name": name, "value": repr(value), "std": std.get(f"{channel.name}.{name}", "")}
-                rows.append(row | own | {"lag_s": repr(lag)})
+                rows.append(row | {"name": name, "value": value, "std": std.get(f"{channel.name}.{name}", "")})
     return rows
-
-
-def _shipped(name: str, calibration: Calibration, options: ExportOptions) -> Target:
-    """The target of a template that comes with the program: all but csv are of one temperature."""
-    options = options._replace(template=presets.template(f"export-{name}.j2"))
-    if name == "csv":
-        return _template(calibration, options._replace(temperature_c=None))._replace(notes=())
-    if options.temperature_c is None:
-        raise ValueError(f"{name} is for one temperature: state this temperature with --temperature")
-    return _template(calibration, options)
-
-
-FORMATS: Final[Mapping[str, Callable[[Calibration, ExportOptions], Target]]] = {
-    "ardupilot": ardupilot,
-    "px4": px4,
-    "c-header": c_header,
-    **{name: partial(_shipped, name) for name in ("kalibr", "matrices", "gains", "tracker", "ins", "csv")},
-    "template": _template,
-}

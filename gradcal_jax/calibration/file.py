@@ -14,7 +14,7 @@ i-th of the temperature's in a scale factor; other bases count their functions. 
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -22,10 +22,10 @@ import numpy as np
 from pydantic import Field
 
 from gradcal_jax.records.log import Floats
-from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
+from gradcal_jax.spec.bases import PolynomialKeys, RateBasis, SplineKeys, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.document import TitledFile, parsed, read_text
-from gradcal_jax.tables.problems import Problem
+from gradcal_jax.tables.problems import Problem, repeated_names
 from gradcal_jax.tables.section import Section
 from gradcal_jax.tables.writing import write_toml
 
@@ -41,6 +41,9 @@ TEMPERATURE_RATE: Final = "temperature rate"
 """Name of the signal dT/dt, K/s."""
 LOG_HASH: Final = "log_sha256"
 """Name under which the provenance has the fingerprint of the calibration's log."""
+
+
+_CONSTANT: Final = PolynomialKeys.model_construct(degree=0, centre=0.0, scale=1.0)
 
 
 class CalibratedTerm(Section):
@@ -62,18 +65,27 @@ class CalibratedTerm(Section):
     """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
 
     def _problems(self) -> Iterator[Problem]:
-        sizes = [basis.size for basis in (self.temperature, self.rate) if basis is not None]
-        functions = list(itertools.product(*map(range, sizes)))
+        functions = list(itertools.product(*(range(basis.size) for basis in self.bases)))
         if len(self.coefficients) != len(functions):
             message = f"expected {len(functions)} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and len(functions) > 1:
             for name, function in zip(self.coefficients, functions, strict=True):
-                if function_of(name) != function:
+                if _function_of(name) != function:
                     place = " and ".join(map(str, function))
                     message = f"expected here the coefficient that multiplies function {place} of temperature and rate"
                     yield Problem(("coefficients", name), message)
                     break
+
+    @property
+    def bases(self) -> tuple[PolynomialKeys | SplineKeys, PolynomialKeys | SplineKeys]:
+        """Those over temperature and rate; one that is absent is a constant."""
+        return self.temperature or _CONSTANT, self.rate or _CONSTANT
+
+    @property
+    def table(self) -> Floats:
+        """The coefficients `(functions of temperature, functions of rate)`."""
+        return np.array(list(self.coefficients.values())).reshape(self.bases[0].size, -1)
 
 
 class PathCoefficient(Section):
@@ -98,8 +110,9 @@ class PathCoefficient(Section):
 
     @property
     def label(self) -> str:
-        """Its name for people, as in "gyro x hysteresis 20K"."""
-        return f"{self.channel} {self.name}".replace("_", " ")
+        """Its name for people, as in "gyro x hysteresis 20K" or "gyro x bias by rate y times rate z"."""
+        words = re.sub(r"^ww_(\w)(\w)$", r"bias by rate \1 times rate \2", self.name)
+        return f"{self.channel} {words}".replace("_", " ")
 
 
 class Residuals(Section):
@@ -147,22 +160,17 @@ class CalibratedChannel(Section):
     @property
     def input(self) -> str:
         """The signal that it measures, as in "rate x"."""
-        return f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}"
-
-    def misaligns(self, term: CalibratedTerm) -> bool:
-        """Whether by this term the channel senses what acts across its axis, so that its other terms multiply it."""
-        across = len(term.signals) == 1 and term.signals[0] != self.input
-        return across and term.signals[0].split(" ")[0] == self.input.split(" ")[0]
+        return signal_of(self.label)
 
     def term_of(self, name: str) -> CalibratedTerm | None:
         """The term of that name, if there is one."""
         return next((term for term in self.term if term.name == name), None)
 
 
-def common_span(spans: Iterable[tuple[q.Quantity, q.Quantity]]) -> tuple[q.Quantity, q.Quantity]:
-    """The part that all ranges have in common."""
-    lows, highs = zip(*spans, strict=True)
-    return max(lows), min(highs)
+def signal_of(label: str) -> str:
+    """The signal that a channel measures: "rate x" for the label "gyro x"."""
+    kind, _, axis = label.partition(" ")
+    return f"{'rate' if kind == 'gyro' else 'force'} {axis}"
 
 
 class Covariance(Section):
@@ -304,8 +312,7 @@ class Calibration(TitledFile):
 
     def _problems(self) -> Iterator[Problem]:
         names = [channel.name for channel in self.channel]
-        if len(set(names)) < len(names):
-            yield Problem(("channel",), "two channels have the same kind and the same axis")
+        yield from repeated_names("channel", "axis", names, "two channels have the same kind and the same axis")
         axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
         known = {f"{kind} {axis}" for kind in ("rate", "force") for axis in axes}
         known |= {TEMPERATURE_RATE, *(f"|{name}|" for name in known)}
@@ -331,12 +338,14 @@ class Calibration(TitledFile):
     @property
     def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:
         """Temperatures that the data covered for every channel (the second may be below the first: none)."""
-        return common_span(channel.valid_temperature for channel in self.channel)
+        lows, highs = zip(*(channel.valid_temperature for channel in self.channel), strict=True)
+        return max(lows), min(highs)
 
     @property
     def valid_rate(self) -> tuple[q.Rate, q.Rate]:
         """Rates that the data covered for every channel (the second may be below the first: none)."""
-        return common_span(channel.valid_rate for channel in self.channel)
+        lows, highs = zip(*(channel.valid_rate for channel in self.channel), strict=True)
+        return max(lows), min(highs)
 
     @property
     def valid_range(self) -> str:
@@ -379,7 +388,7 @@ def build_term(
     name: str, unit: str, signals: tuple[str, ...], coefficients: Mapping[str, float], **bases: Any
 ) -> CalibratedTerm:
     """A term from plain numbers; bases that are None are left out."""
-    present = {key: value for key, value in bases.items() if value is not None}
+    present = {key: basis for key, basis in bases.items() if basis is not None}
     return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=dict(coefficients), **present)
 
 
@@ -396,28 +405,9 @@ _SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sens
 FORMAT: Final = "gradcal-calibration/3"
 
 
-def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
-    """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
-    return at_rates(term, at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
-
-
-def at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
-    """`(n, functions of the rate)`: their coefficients, or the map itself."""
-    coefficients = np.array(list(term.coefficients.values()))
-    one = np.ones((len(temperature_c), 1))
-    basis = one if term.temperature is None else term.temperature.values(temperature_c)
-    return basis @ coefficients.reshape(basis.shape[1], -1)
-
-
-def at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
-    """The map `(n,)` at rates (rad/s), from `at_temperatures`."""
-    if term.rate is None:
-        return of_temperature[:, 0]
-    return (of_temperature * term.rate.values(rate)).sum(axis=-1)
-
-
-def function_of(name: str) -> tuple[int, ...]:
-    """The functions of temperature and of rate that a coefficient multiplies: (3,) for a3, (2, 1) for b12, (11, 2) for
-    b2_11, (4, 0) for b_bin0_spline4."""
+def _function_of(name: str) -> tuple[int, ...]:
+    """The functions of temperature and of rate that a coefficient multiplies: (3, 0) for a3, (2, 1) for b12, (11, 2)
+    for b2_11, (4, 0) for b_bin0_spline4."""
     digits = re.findall(r"\d" if re.fullmatch(r"b\d\d", name) else r"\d+", name)
-    return tuple(int(digit) for digit in reversed(digits))
+    functions = [int(digit) for digit in reversed(digits)]
+    return (*functions, 0) if len(functions) == 1 else tuple(functions)

@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial
+from numpy.polynomial import Polynomial
 
-from gradcal_jax.calibration.correction import SIGNALS, linear_part
-from gradcal_jax.calibration.file import CalibratedChannel, Calibration, term_values
-from gradcal_jax.calibration.losses import ExportOptions, Target
+from gradcal_jax.calibration.equation import SIGNALS, linear_part, map_of
+from gradcal_jax.calibration.file import CalibratedChannel, Calibration
+from gradcal_jax.calibration.losses import Export, losses_of
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import PolynomialKeys
 
@@ -30,16 +30,15 @@ def bias_polynomial(channel: CalibratedChannel, about_c: float) -> Floats:
             f"the target takes the bias over temperature, and this calibration has no bias of {channel.label}: zeros "
             "would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or csv"
         )
-    basis, coefficients = term.temperature, list(term.coefficients.values())
-    if basis is None:
-        found: Any = Polynomial(coefficients)
-    elif isinstance(basis, PolynomialKeys) and basis.degree <= _DEGREE:
-        found = Polynomial(coefficients, domain=[basis.centre - basis.scale, basis.centre + basis.scale])
+    basis, _ = term.bases
+    if isinstance(basis, PolynomialKeys) and basis.degree <= _DEGREE:
+        x = Polynomial([about_c - basis.centre, 1.0]) / basis.scale
+        powers: Any = Polynomial(term.table[:, 0])(x).coef
     else:
-        low, high = map(float, channel.valid_temperature)
+        low, high = (end - about_c for end in channel.valid_temperature)
         t = np.linspace(low, high, _POINTS)
-        found = Chebyshev.fit(t, term_values(term, t), _DEGREE, domain=[low, max(high, low + 1e-6)])
-    powers = found.convert(kind=Polynomial, domain=[about_c - 1.0, about_c + 1.0], window=[-1.0, 1.0]).coef
+        values = map_of(channel, term, t + about_c)(0.0 * t)
+        powers = Polynomial.fit(t, values, _DEGREE, domain=[low, max(high, low + 1e-6)]).convert().coef
     return np.pad(powers, (0, _DEGREE + 1 - len(powers)))
 
 
@@ -66,9 +65,8 @@ def _single(value: float) -> str:
     return f"{np.float32(value):.9g}"
 
 
-def ardupilot(calibration: Calibration, options: ExportOptions) -> Target:
+def ardupilot(calibration: Calibration, number: int) -> Export:
     """INS_TCAL* of sensor 1 to 3. Raises `ValueError` for another, without a bias, and for less than 10 K."""
-    number = options.instance
     if not 1 <= number <= 3:
         raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
     cold, warm = calibration.valid_temperature
@@ -102,13 +100,12 @@ def ardupilot(calibration: Calibration, options: ExportOptions) -> Target:
         "also times SCAL, which is that of the middle of the temperature range"
     )
     text = "".join(f"{name} {_single(value)}\n" for name, value in parameters.items())
-    return Target(text, corrected, _notes(calibration, low, high, words))
+    return Export(text, losses_of(calibration, SIGNALS, corrected), _notes(calibration, low, high, words))
 
 
-def px4(calibration: Calibration, options: ExportOptions) -> Target:
+def px4(calibration: Calibration, number: int, identity: int | None) -> Export:
     """TC_* of sensor 0 to 3. Raises `ValueError` for another, without a bias, and where channels have no range in
     common."""
-    number, identity = options.instance, options.device_id
     if not 0 <= number <= 3:
         raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")
     low, high = map(float, calibration.valid_temperature)
@@ -140,4 +137,4 @@ def px4(calibration: Calibration, options: ExportOptions) -> Target:
     ]
     if identity is None:
         notes.append("TC_*_ID must be the sensor's device id, or PX4 ignores these parameters: give --device-id")
-    return Target("".join(lines), corrected, _notes(calibration, low, high, *notes))
+    return Export("".join(lines), losses_of(calibration, SIGNALS, corrected), _notes(calibration, low, high, *notes))

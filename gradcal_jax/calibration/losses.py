@@ -10,33 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.calibration.correction import SIGNALS, error_function
+from gradcal_jax.calibration.equation import equation
 from gradcal_jax.calibration.file import TEMPERATURE_RATE, Calibration
 from gradcal_jax.records.log import Floats
+from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-Corrected = Callable[[Floats, Floats], Floats]
-"""A target's function: readings `(n, inputs)` and temperatures `(n,)`, °C, to true inputs."""
-
-
-class ExportOptions(NamedTuple):
-    """What a target may need: one temperature (°C), the number of the sensor on the controller, PX4's device id, and
-    the text of a template."""
-
-    temperature_c: float | None
-    instance: int
-    device_id: int | None
-    template: str | None
-
-
-class Target(NamedTuple):
-    """A calibration for a target: its text, its function of readings of `inputs` (None: nothing that could be
-    evaluated), and notes for the user."""
-
-    text: str
-    corrected: Corrected | None
-    notes: tuple[str, ...]
-    inputs: Sequence[str] = SIGNALS
+TargetFunction = Callable[[Floats, Floats], Floats]
+"""What a target computes: from readings `(n, inputs)` and temperatures `(n,)`, °C, true inputs."""
 
 
 _PER_MINUTE = 1.0 / 60.0  # K/s
@@ -55,7 +36,17 @@ class Loss(NamedTuple):
     unit: str
 
 
-def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: Corrected) -> list[Loss]:
+class Export(NamedTuple):
+    """`text` for the target's file, the losses, and notes for the user."""
+
+    text: str
+    losses: tuple[Loss, ...]
+    notes: tuple[str, ...]
+
+    __repr__ = summary
+
+
+def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: TargetFunction) -> tuple[Loss, ...]:
     """The largest differences that a target leaves, by channel and condition; `inputs`: the columns of its readings."""
     at, true = within_ranges(calibration, inputs, _POINTS)
     warm = np.linspace(*calibration.valid_temperature, _TEMPERATURES)
@@ -73,36 +64,32 @@ def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: Correc
         if channel.kind == "gyro":
             largest = max(map(abs, channel.valid_rate))
             of, unit, factor = f"{np.degrees(largest):.4g} deg/s", "deg/h", DEG_PER_H
-        conditions = [("at rest", resting, factor, unit)]
-        if largest > 0.0:  # data at rest cover no rates
-            conditions.append(("within the ranges of rates and forces", moving, PPM / largest, f"ppm of {of}"))
-        conditions.append(("while the temperature changes", warming, factor, f"{unit} at 1 K/min"))
-        for what, values, scale, words in conditions:
+        for what, values, scale, words in (
+            ("at rest", resting, factor, unit),
+            ("within the ranges of rates and forces", moving, PPM / (largest or np.inf), f"ppm of {of}"),
+            ("while the temperature changes", warming, factor, f"{unit} at 1 K/min"),
+        ):
             size = float(np.max(np.abs(values[:, inputs.index(channel.input)])))
-            if size > _NOTHING:
+            if size > _NOTHING and scale > 0.0:  # (data at rest cover no rates)
                 losses.append(Loss(channel.label, what, size * scale, words))
-    return losses
+    return tuple(losses)
 
 
 def within_ranges(calibration: Calibration, inputs: Sequence[str], count: int) -> tuple[Floats, Floats]:
     """Temperatures `(count,)` and true inputs `(count, inputs)` drawn within the ranges of the data, and ±1 g."""
     rng = np.random.default_rng(0)
     at = rng.uniform(*calibration.valid_temperature, count)
-    true = rng.uniform(-1.0, 1.0, (count, len(inputs)))
-    spans = {channel.input: channel.valid_rate for channel in calibration.channel if channel.kind == "gyro"}
-    for k, name in enumerate(inputs):
-        slow, fast = spans.get(name, calibration.valid_rate) if "rate" in name else (-G, G)
-        true[:, k] = 0.5 * (slow + fast) + 0.5 * (fast - slow) * true[:, k]
-    return at, true
+    ranges = {name: calibration.valid_rate if "rate" in name else (-G, G) for name in inputs}
+    ranges |= {channel.input: channel.valid_rate for channel in calibration.channel if channel.kind == "gyro"}
+    lowest, highest = np.array([ranges[name] for name in inputs]).T
+    return at, rng.uniform(lowest, highest, (count, len(inputs)))
 
 
 def readings(
     calibration: Calibration, inputs: Sequence[str], temperature_c: Floats, true: Floats, slope: float = 0.0
 ) -> Floats:
     """What the sensor reads `(n, inputs)` for true inputs, while the temperature changes by `slope` (K/s)."""
-    raw = true.copy()
-    signals = dict(zip(inputs, true.T, strict=True)) | {TEMPERATURE_RATE: np.full(len(true), slope)}
-    for channel in calibration.channel:
-        own = temperature_c - slope * float(channel.thermal_lag or 0.0)
-        raw[:, inputs.index(channel.input)] += error_function(channel, own)(signals)
-    return raw
+    own = [temperature_c - slope * float(channel.thermal_lag or 0.0) for channel in calibration.channel]
+    of_sensor = equation(calibration.channel, [*inputs, TEMPERATURE_RATE], own)
+    errors = of_sensor.errors(np.vstack([true.T, np.full(len(true), slope)]))
+    return true + errors[:-1].T

@@ -90,7 +90,7 @@ class CyclePlan:
             durations, slopes = np.array([(s.duration, s.slope) for s in ramps]).T
             own = self.course.vector(ramps[0].temperature_start, durations, slopes)
         self.start = Proposal(turns, tuple(own.tolist()))
-        self.value = PlanValue(exact, self._schedule, self.coordinates, self.course, spare, self._repeats, self.stands)
+        self.value = PlanValue(exact, self._schedule, self.coordinates, self.course, spare, self.cycles, self.stands)
         self.descent = Descent(self.value)
 
     def _slots_for(self, turns: int) -> int:
@@ -173,7 +173,7 @@ class CyclePlan:
         if self._times is not None:
             keys |= self._keys_of_visits(of.turns)
         elif not self.stands:
-            whole = self.coordinates.structure(of.turns).whole
+            whole = self.coordinates.structure(of.turns).whole if self.rounding.closed else None
             turns = self.rounding.rounded(of.turns, self.coordinates.visits.own, self.limits.start, whole)
             keys["plan.cycle.moves"] = self.rounding.moves(turns)
         return changed(self.spec, keys)

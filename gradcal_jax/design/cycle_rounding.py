@@ -37,10 +37,10 @@ class CycleRounding(NamedTuple):
     closed: bool
 
     def rounded(
-        self, cycle: Cycle, period: float, start: Float[np.ndarray, " L"], whole: Float[np.ndarray, " L"]
+        self, cycle: Cycle, period: float, start: Float[np.ndarray, " L"], whole: Float[np.ndarray, " L"] | None
     ) -> list[RoundedTurn]:
-        """Rounded turns, rates and rests of a cycle from `start` (rad) that fit into the `period` (s) and, if it is
-        closed, turn every axis by the `whole` (rad)."""
+        """Rounded turns, rates and rests of a cycle from `start` (rad) that fit into the `period` (s) and turn every
+        axis by the `whole` (rad; None: by any angle)."""
         items, goals, here = list[RoundedTurn](), np.zeros(len(start)), np.zeros(len(start))
         for axis, angle, rate, rest in cycle:
             turned = 0.0
@@ -53,10 +53,11 @@ class CycleRounding(NamedTuple):
             rest = round(max(round(rest / _REST) * _REST, self.limits.shortest), 6) if rest > 0.0 else 0.0
             if turned or rest:
                 items.append(self._turn(axis if turned else -1, turned, math.degrees(rate), rest))
-        for axis in {item.axis for item in items if item.angle} if self.closed else ():
-            k = max(k for k, item in enumerate(items) if item.axis == axis)
-            last = items[k]
-            items[k] = self._turn(axis, last.angle - here[axis] + math.degrees(whole[axis]), last.rate, last.rest)
+        if whole is not None:
+            for axis in {item.axis for item in items if item.angle}:
+                k = max(k for k, item in enumerate(items) if item.axis == axis)
+                last = items[k]
+                items[k] = self._turn(axis, last.angle - here[axis] + math.degrees(whole[axis]), last.rate, last.rest)
 
         # The longest rests share what the controllers' steps of time cost, or leave.
         rests = sorted((k for k, item in enumerate(items) if item.rest), key=lambda k: -items[k].rest)
@@ -66,7 +67,7 @@ class CycleRounding(NamedTuple):
             rest = round(items[k].rest + math.copysign(_REST, change), 6)
             items[k] = items[k]._replace(rest=max(rest, self.limits.shortest))
         over = _lasting(items) - period
-        if over > _SLACK and not self.closed:
+        if over > _SLACK and whole is None:
             # The rests are the shortest: the largest turn ends earlier.
             k = max(range(len(items)), key=lambda k: abs(items[k].angle))
             axis, angle, rate, _, rest = items[k]
@@ -77,9 +78,11 @@ class CycleRounding(NamedTuple):
     def visits(self, cycle: Cycle, of: Visits) -> list[tuple[list[RoundedTurn], float]]:
         """The rounded cycle of each visit, and how long other axes have the table after it (s): until the next one."""
         result, start, now = [], self.limits.start.copy(), 0.0
+        last = max((group for t, group in zip(cycle, of.group, strict=True) if t.axis >= 0), default=0)
         for visit in range(of.number):
             part = tuple(t for t, group in zip(cycle, of.group, strict=True) if group == visit)
-            turns = self.rounded(part, of.own, start, np.zeros(len(start)))
+            closing = self.closed and visit == last
+            turns = self.rounded(part, of.own, start, self.limits.start - start if closing else None)
             now += _lasting(turns)
             wait = math.floor(((visit + 1) * (of.own + of.other) - now) / self.grid + _SLACK) * self.grid
             # The others' time is of whole seconds: a fraction would be a reading of its own, soon after the last one.

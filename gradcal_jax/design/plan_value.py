@@ -49,7 +49,7 @@ _NOWHERE = 1e3
 @dataclass(frozen=True, eq=False)
 class PlanValue:
     """The objective `exact` of plans with a `schedule` by the `coordinates` of their cycle and, if it is free, those of
-    the chamber's `course`. `spare` s: by how much visits of the template are longer. `repeats`: the cycle is repeated;
+    the chamber's `course`. `spare` s: by how much visits of the template are longer. `cycles`: of a stretch.
     `stands`: the table never turns."""
 
     exact: ExactObjective
@@ -57,7 +57,7 @@ class PlanValue:
     coordinates: CycleCoordinates
     course: ProgrammeCoordinates | None
     spare: float
-    repeats: bool
+    cycles: int
     stands: bool
 
     def __call__(self, z: Float[AnyArray, " n"], args: tuple[Structure, Any]) -> Float[AnyArray, ""]:
@@ -89,9 +89,10 @@ class PlanValue:
 
     def _repeated(self) -> RepeatedCycle | None:
         """The cycle of which some stand for all, exactly."""
-        free = self.course is not None or self.stands
-        period = self.coordinates.visits.period
-        return None if free else repeated_cycle(self.schedule, self.exact.builts, period)
+        visits = self.coordinates.visits
+        if self.course is not None or self.stands or visits.other:
+            return None
+        return repeated_cycle(self.schedule, self.exact.builts, self.cycles, visits.period)
 
     def _rests(self, rest: Float[AnyArray, " K"], sharpness: Any, *, exactly: bool) -> tuple[AnyArray, AnyArray]:
         """The rests of a cycle, divided at their readings, of which the last one is at the end of the rest: of each
@@ -126,7 +127,7 @@ class PlanValue:
             # (All courses are of one duration.)
             course = self.course.programme(np.zeros(2 * self.course.stretches + 1)), ((1, 1 + self.course.stretches),)
         if (of := self._repeated()) is not None:
-            window = FILTERED * (visits.own + self.spare)
+            window = FILTERED * (visits.own + self.spare) * visits.number
             course = programme_of(of.begins, [(window, of.slope)]), ((0, 1),)
         lasting = (visits.own + self.spare) * visits.number / max(int(np.sum(column <= each)), 1)
         a_turn, a_rest = turn(SHAPE, 1.0, lasting, ramp=lasting / 4.0), rest(lasting, read_at_end=True)
@@ -134,7 +135,7 @@ class PlanValue:
         pairs = zip(slot, column, strict=True)
         moves = tuple(a_turn if c == 0 else a_rest if c <= each else waits[k] for k, c in pairs)
         spacing = self._spacing_of_stays(exactly=exactly)
-        own = len(moves) - (parts if visits.tail and self.repeats else 0)
+        own = len(moves) - (parts if visits.tail and self.cycles > 1 else 0)
         # A piece is not divided where the chamber's slope changes within it: its middle decides.
         template = gradient_plan(course[0], moves[:own], moves[own:], used=course[1], read_every=spacing, divided=False)
         fillers, move = len(template.duration) - len(order), np.asarray(template.pieces.move)

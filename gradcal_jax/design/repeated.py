@@ -54,14 +54,16 @@ class RepeatedCycle(NamedTuple):
         return jax.lax.scan(go_on, begin, (filtered, jnp.asarray(shifts)))[0].product
 
 
-def repeated_cycle(schedule: PlanSchedule, builts: Sequence[BuiltImu], period: float) -> RepeatedCycle | None:
-    """The cycle that is all of a plan; None where cycles differ in more than a polynomial of temperature."""
-    count, more = schedule.stretches[0].cycles, schedule.stretches[1:]
+def repeated_cycle(
+    schedule: PlanSchedule, builts: Sequence[BuiltImu], cycles: int, period: float
+) -> RepeatedCycle | None:
+    """The cycle of `period` s that is all of a plan, in so many `cycles`; None where these differ in more than a
+    polynomial of temperature."""
     ramps = [s for s in schedule.segments if s.used]
     lags = any(b.spec.sensor.lag is not None or b.gears or b.model.shifts(np.zeros(1)) is None for b in builts)
-    if more or len(ramps) > 1 or count < _MANY or schedule.after or lags:
+    if len(schedule.stretches) > 1 or len(ramps) > 1 or cycles < _MANY or lags:
         return None
-    return RepeatedCycle(count, ramps[0].temperature_start, ramps[0].slope, period)
+    return RepeatedCycle(cycles, ramps[0].temperature_start, ramps[0].slope, period)
 
 
 def through(known: Passage, after: Passage, shift: Float[AnyArray, "p p"]) -> Passage:

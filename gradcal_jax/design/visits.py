@@ -21,7 +21,8 @@ from gradcal_jax.spec.spec_sections import Spec
 
 # A shorter time of other axes behind the last visit is none, s.
 _LEFT: Final = 1e-3
-# Largest number of visits with moves of their own; beyond, the cycle repeats.
+# Largest number of visits with moves of their own; of more, a cycle repeats that has from so many to so many.
+_LEAST_OWN: Final = 6
 _MOST_OWN: Final = 20
 # Turns of all visits together, about, and of each at least: one for every power of a cubic.
 _TURNS: Final = 36
@@ -116,13 +117,16 @@ def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
         share = own / (own + other)
         options = [(n, share * time / n, (1.0 - share) * time / (n - 1), 1) for n in _FREE_VISITS]
     else:
-        count, each = repetitions(time, own, own + other)[0], len(visits)
-        alone = sum(s.kind == "ramp" for s in schedule.segments) == 1 == len(schedule.stretches)
-        options = [(count, own, other, 1) if count <= _MOST_OWN and alone else (each, own, other, count // each)]
+        count, size = repetitions(time, own, own + other)[0], len(visits)
+        if sum(s.kind == "ramp" for s in schedule.segments) == 1 == len(schedule.stretches):
+            size = _visits_of_cycle(count)
+        options = [(size, own, other, count // size)]
     choices, rest = [], shortest_rest(spec, design)
     for count, each, between, cycles in options:
         fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
-        wanted = max(_LEAST_TURNS, -(-_TURNS // count)) if cycles == 1 else 2 * _LEAST_TURNS
+        wanted = max(_LEAST_TURNS, -(-_TURNS // count))
+        if cycles > 1:
+            wanted = min(wanted, 2 * _LEAST_TURNS)
         turns = design.moves or min(wanted, fitting)
         turns = max([turns, *(len(slot_turns(steps)) - 1 for steps in visits)])
         least = turns * (LEAST_TURN + rest)
@@ -133,6 +137,13 @@ def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
             )
         choices.append(VisitTimes(count, each, between, cycles, turns))
     return choices
+
+
+def _visits_of_cycle(count: int) -> int:
+    """How many of so many visits have moves of their own before these repeat: the largest number of those that leave
+    the fewest visits without moves."""
+    numbers = range(min(count, _LEAST_OWN), min(count, _MOST_OWN) + 1)
+    return max(numbers, key=lambda number: (count // number * number, number))
 
 
 def shortest_rest(spec: Spec, design: Design) -> float:

@@ -3,7 +3,7 @@
 import imu_twin
 import numpy as np
 
-from gradcal_jax.calibration.correction import error_function
+from gradcal_jax.calibration.equation import equation
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.records.log import Log
 
@@ -106,7 +106,7 @@ def readings(truth: dict[str, float], count: int = 400) -> tuple[Log, np.ndarray
 def gyro(calibration: Calibration, rate: np.ndarray, temperature: np.ndarray, axis: str = "x") -> np.ndarray:
     """The output of a calibration's gyro for true rates: the calibration forwards."""
     channel = next(channel for channel in calibration.channel if channel.name == f"gyro_{axis}")
-    return rate + error_function(channel, temperature)({channel.input: rate})
+    return rate + equation([channel], [channel.input], [temperature]).errors(rate[None])[0]
 
 
 def largest(errors: np.ndarray) -> float:

@@ -18,7 +18,8 @@ from calibration_samples import (
     term,
 )
 
-from gradcal_jax.calibration.correction import apply, correct, term_values
+from gradcal_jax.calibration.correction import apply, correct
+from gradcal_jax.calibration.equation import map_of
 from gradcal_jax.records.log import Log, LogError, Reason
 
 
@@ -75,11 +76,11 @@ def test_outside_its_range_the_edge_holds_and_is_counted():
     assert corrected.outside_rate > 10
     assert np.isfinite(corrected.log.rate_rad_per_s).all()
     fast = np.abs(corrected.log.rate_rad_per_s[0, :, 0]) > np.radians(300.0)
-    bias, scale = found.channel[0].term
     at = np.minimum(hot.temperature_c[0][fast], 70.0)
+    bias, scale = (map_of(found.channel[0], term, at) for term in found.channel[0].term)
     said, true = hot.rate_rad_per_s[0, fast, 0], corrected.log.rate_rad_per_s[0, fast, 0]
-    map_at_edge = term_values(scale, at, np.radians(300.0) * np.sign(said))
-    np.testing.assert_allclose(true, (said - term_values(bias, at)) / (1.0 + map_at_edge), rtol=1e-12)
+    map_at_edge = scale(np.radians(300.0) * np.sign(said))
+    np.testing.assert_allclose(true, (said - bias(said)) / (1.0 + map_at_edge), rtol=1e-12)
     edge = replace(hot, temperature_c=np.clip(hot.temperature_c, -30.0, 70.0))
     np.testing.assert_array_equal(corrected.log.rate_rad_per_s, apply(found, edge).log.rate_rad_per_s)
 

@@ -14,7 +14,8 @@ from calibration_samples import WHOLE as CALIBRATION
 from controllers import TAKEN_OFF, parameters_of
 
 from gradcal_jax.calibration.c_header import Header
-from gradcal_jax.calibration.correction import correct, term_values
+from gradcal_jax.calibration.correction import correct
+from gradcal_jax.calibration.equation import map_of
 from gradcal_jax.calibration.exports import FORMATS, export, linear_at
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.spec import presets
@@ -30,7 +31,7 @@ def loss(done, channel, what):
 
 
 def bias(channel, temperature):
-    return term_values(channel.term_of("bias"), temperature)
+    return map_of(channel, channel.term_of("bias"), temperature)(0.0 * temperature)
 
 
 @pytest.mark.parametrize("target", ["ardupilot", "px4"])
@@ -171,8 +172,8 @@ def test_what_follows_the_path_of_the_temperature_is_counted_or_named():
     calibration = Calibration.model_validate(made | {"path": [path]})
     lags = {(row["channel"], row["term"]): row["lag_s"] for row in csv_rows(calibration)}
     assert (lags["gyro_x", "bias"], lags["gyro_y", "bias"]) == ("120.0", "0.0")
-    of_bias = calibration.channel[0].term_of("bias")
-    behind = term_values(of_bias, T[:-10] + 2.0) - term_values(of_bias, T[:-10])
+    of_x = calibration.channel[0]
+    behind = bias(of_x, T[:-10] + 2.0) - bias(of_x, T[:-10])
     for target in set(FORMATS) - {"template"}:
         done = export(calibration, target, temperature_c=25.0)
         assert "gyro y hysteresis 10K, 1e-05 rad/s/K: the target has no place for it" in done.notes

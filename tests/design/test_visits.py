@@ -32,25 +32,30 @@ def plan_of(spec: Spec) -> CyclePlan:
     return CyclePlan(spec, times)
 
 
+_TURN = {"turn": "360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"}
+SHORT = [{"rest": "5 s"}, _TURN, {"rest": "5 s"}, _TURN | {"turn": "-360 deg"}]
+
+
 def many_visits(spec: Spec) -> Spec:
-    """One hundred short visits, all with the same moves."""
-    back = {"turn": "-360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"}
-    moves = [{"rest": "5 s"}, back | {"turn": "360 deg"}, {"rest": "5 s"}, back]
+    """More than one hundred short visits."""
     others = {"duration": "5 s", "read_every": "1 s"}
-    keys = {"plan.cycle": {"moves": moves, "other_axes": others}, "rig.table.axis[0].angle.read_every": "1 s"}
+    keys = {"plan.cycle": {"moves": SHORT, "other_axes": others}, "rig.table.axis[0].angle.read_every": "1 s"}
     return changed(spec, keys)
 
 
-def limited(spec: Spec) -> Spec:
-    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
-    moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
-    return changed(spec, {"rig.table.axis[0].travel": "90 deg", "plan.cycle.moves": moves})
+_SMALL = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
+LIMITED = {
+    "rig.table.axis[0].travel": "90 deg",
+    "plan.cycle.moves": [{"rest": "5 s"}, _SMALL, {"rest": "5 s"}, _SMALL | {"turn": "-20 deg"}],
+}
+IN_CYCLES = {"plan.cycle.other_axes": {"duration": "60 s", "read_every": "1 s"}}
 
 
 KINDS = {
     "own moves in each visit": lambda spec: spec,
-    "the same moves in many": many_visits,
-    "little travel": limited,
+    "many, in cycles": many_visits,
+    "little travel": lambda spec: changed(spec, LIMITED),
+    "many of little travel, in cycles": lambda spec: changed(spec, LIMITED | IN_CYCLES),
 }
 
 
@@ -90,14 +95,14 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
     for seed in range(6):
         made = plan.spec_of(plan.drawn(np.random.default_rng(seed)))
         assert rounded(made).spec.plan == made.plan
-        assert (plan.cycles > 1) == (kind == "the same moves in many")
+        assert (plan.cycles > 1) == ("in cycles" in kind)
         assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.cycles
         assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)
         made_moves = [step.move for step in made.gradient_schedule.steps]
         places = np.cumsum([m.angle for m in made_moves]) / DEG
         assert np.max(np.abs(places)) <= float(given.rig.table.axis[0].travel) / DEG * (1 + 1e-9)
         others = [m.duration for m in made_moves if m.other_axes]
-        if kind != "the same moves in many":
+        if "in cycles" not in kind:
             assert len(others) == 3
             assert min(others) >= 780.0 - 1e-6
 
@@ -112,6 +117,9 @@ CHANGES = {
         "sensor.thermal_lag": "2 min",
         "rig.table.axis[0].angle.standstill_offset": "0.02 deg",
     },
+    "two cycles of twelve visits": {"plan.cycle.other_axes": {"duration": "5 s", "read_every": "1 s"}},
+    "two cycles of sixteen visits of little travel": LIMITED | IN_CYCLES,
+    "eleven cycles of an axis that is alone": {"plan.cycle": {"moves": SHORT}},
 }  # fmt: skip
 
 
@@ -147,3 +155,16 @@ def test_visits_of_another_length_keep_the_axiss_share_of_the_time(spec):
     for c in choices:
         assert c.visits * c.own == pytest.approx(3000.0 * 120.0 / 900.0)
         assert c.visits * c.own + (c.visits - 1) * c.other == pytest.approx(3000.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "visits", "cycles"),
+    [("780 s", 4, 1), ("31 s", 20, 1), ("20 s", 7, 3), ("10 s", 11, 2), ("5 s", 12, 2)],
+)
+def test_more_than_twenty_visits_are_cycles_of_visits_with_moves_of_their_own(spec, other, visits, cycles):
+    """As many as possible of all visits have moves."""
+    plan = plan_of(changed(spec, {"plan.cycle.other_axes.duration": other}))
+    assert (plan.coordinates.visits.number, plan.cycles) == (visits, cycles)
+    made = plan.spec_of(plan.drawn(np.random.default_rng(0))).gradient_schedule
+    assert [s.cycles for s in made.stretches] == [cycles]
+    assert sum(step.move.other_axes for step in made.steps) == visits - 1

@@ -8,7 +8,7 @@ from expected_errors import nees_band
 from logs_zoo import GRADIENT, STANDARD, estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.calibration.correction import term_values
+from gradcal_jax.calibration.equation import map_of
 from gradcal_jax.estimation import ImuRows
 from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.lag_of_maps import LateTemperatures
@@ -66,14 +66,15 @@ def test_without_noise_the_maps_come_back(text):
     made = simulate_log(spec, sample_rate_hz=50.0, seed=2, noiseless=True)
     report = estimate_log(spec, [made.log])
     (calibration,) = report.calibrations
-    bias, scale_factor = (calibration.channel[0].term_of(name) for name in ("bias", "scale_factor"))
+    (gyro,) = calibration.channel
+    bias, scale_factor = (gyro.term_of(name) for name in ("bias", "scale_factor"))
     (channel,) = build_imu(spec).model.channels
     t, w = np.array([5.0, 20.0, 35.0]), np.radians(np.array([-250.0, 40.0, 250.0]))
     rows = channel.map(SCALE_FACTOR).values(t, w)
     truth = made.truth["x"][0]
-    np.testing.assert_allclose(term_values(scale_factor, t, w), rows @ truth[channel.where(SCALE_FACTOR)], atol=0.2e-6)
+    np.testing.assert_allclose(map_of(gyro, scale_factor, t)(w), rows @ truth[channel.where(SCALE_FACTOR)], atol=0.2e-6)
     of_bias = channel.map(BIAS).values(t, t) @ truth[channel.where(BIAS)]
-    np.testing.assert_allclose(term_values(bias, t), of_bias, atol=np.radians(0.02) / 3600)
+    np.testing.assert_allclose(map_of(gyro, bias, t)(w), of_bias, atol=np.radians(0.02) / 3600)
     assert calibration.simulated
     assert made.log.simulated
 

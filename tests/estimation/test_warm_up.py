@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
 from warm_ups import DEG_PER_H, MICRO_G, accelerometers, gyros, output, warm_up, warming
 
-from gradcal_jax.calibration.file import read_calibration, term_values
+from gradcal_jax.calibration.equation import map_of
+from gradcal_jax.calibration.file import read_calibration
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
@@ -107,7 +108,8 @@ def test_the_stated_sigma_covers_what_is_left(kind):
         if kind == "random walk":  # its beginning is this run's bias
             start = first_push(seed, len(log.time_s)) * KINDS[kind]["drift"]
         (result,) = estimate_warm_up([log]).calibrations
-        taken = np.stack([term_values(channel.term_of("bias"), FIT) for channel in result.channel], axis=1)
+        biases = [map_of(channel, channel.term_of("bias"), FIT) for channel in result.channel]
+        taken = np.stack([bias_at(0.0 * FIT) for bias_at in biases], axis=1)
         taken -= start if kind == "random walk" else 0.0
         sigmas, sigma = left(taken, bias, result)
         inside.append(np.mean(np.abs(sigmas) < 1.96))

@@ -92,6 +92,21 @@ def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts():
     np.testing.assert_allclose(axis, [motor[0] - 0.1, motor[0] - 0.1, motor[2] + 0.1])
 
 
+def test_a_hand_turns_unevenly_and_ends_in_time():
+    plant = AxisPlant(None, 0.0)
+    plant.set_zero(0.0, 10.0)
+    plant.turn_by_hand(5.0, -710.0, 30.0)
+    times = np.linspace(5.0, 35.0, 3001)
+    rates = np.array([plant.state(time)[1] for time in times])
+    angles = plant.position(times)
+    assert (angles[0], angles[-1], plant.moving(34.9), plant.moving(35.1)) == (10.0, -710.0, True, False)
+    np.testing.assert_allclose(np.gradient(angles, times)[1:-1], rates[1:-1], atol=0.1)
+    # From rest to rest without a reversal, with a peak of 2.4 times the mean, in the first half.
+    assert rates.max() <= 0.0
+    assert rates.min() == pytest.approx(-2.4 * 24.0, rel=0.02)
+    assert rates[1200] < 1.5 * rates[1800]
+
+
 # --- sensor -----------------------------------------------------------------------------------------------------------
 
 

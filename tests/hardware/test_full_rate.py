@@ -7,14 +7,37 @@ import json
 import math
 
 import pytest
-from hardware_bench import short_recipe
+from hardware_bench import sensor_on_table, served, short_recipe
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
+from simulated_devices.frames import SimulatedFrames
 
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.drivers.listening import FramesConfig
+from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.tables.writing import write_toml
 
 RATE_HZ = 2000.0
+
+
+def test_what_a_port_held_before_the_start_is_not_of_the_run():
+    clock = VirtualClock()
+    unit = SimulatedFrames(sensor_on_table(clock, sample_rate_hz=RATE_HZ), clock, rate_hz=RATE_HZ)
+    config = FramesConfig(**unit_options(RATE_HZ))
+    with served(unit, clock, 921600) as (port, line):
+        device = config.device(line, clock)
+        device.configure()
+        decoder = device.decoder()
+        # The search for references: for seconds nobody reads, and the port is full.
+        for _ in range(20):
+            clock.sleep(0.1)
+            line.write(b"")
+        assert port.lost_bytes > 0
+        device.start()
+        batches = [decoder.push(*device.read_bytes(0.1)) for _ in range(20)]
+    assert sum(len(batch) for batch in batches) > 500
+    assert sum(batch.gap_before.sum() for batch in batches) == 0
 
 
 @pytest.mark.evidence

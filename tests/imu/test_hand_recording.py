@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gradcal_jax.calibration.correction import linear_part
+from gradcal_jax.calibration.equation import linear_part
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand
 from gradcal_jax.records.importers import import_log, parse_column_map

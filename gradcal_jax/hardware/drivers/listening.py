@@ -56,6 +56,10 @@ class ListeningImu:
     def decoder(self) -> ImuDecoder:
         return self._config.decoder()
 
+    def start(self) -> None:
+        """The stream begins now: what the port held from before is dropped. Where it was full, samples are lost."""
+        self._line.drain()
+
     def identify(self) -> Identity:
         self._listen()
         return Identity(self._said.format, self._said.title)
@@ -63,8 +67,6 @@ class ListeningImu:
     def configure(self) -> ImuSettings:
         self._listen()
         return ImuSettings(float(self._said.rate), self._said.expected)
-
-    def start(self) -> None: ...
 
     def _listen(self) -> None:
         """Wait for samples. Raises with what the unit sent instead."""

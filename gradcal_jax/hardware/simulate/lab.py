@@ -174,8 +174,8 @@ class SimulatedPerson:
     """Role `OperatorAsked`, for `drivers.operator`: turns axes, by name, on their plants as the questions say, types
     angles, and hangs the units anew.
 
-    A person reacts after a while, takes the time that is asked for, misses the mark a little (`miss_deg`, standard
-    deviation), and reads the dial when the axis stands.
+    A person reacts after a while, turns unevenly in the time that is asked for, misses the mark a little (`miss_deg`,
+    standard deviation), and reads the dial when the axis stands.
     """
 
     def __init__(
@@ -227,9 +227,7 @@ class SimulatedPerson:
     def _turn(self, name: str, goal_deg: float, lasts_s: float) -> None:
         plant, begins_s = self._plants[name], self._clock.now() + self.reaction_s
         goal_deg += self.miss_deg * float(self._random.standard_normal())
-        # The ramps at both ends are a quarter of the time each.
-        rate_dps = max(abs(goal_deg - plant.state(begins_s)[0]), 1e-9) / (0.75 * lasts_s)
-        plant.move_to(begins_s, goal_deg, rate_dps, rate_dps / (0.25 * lasts_s))
+        plant.turn_by_hand(begins_s, goal_deg, lasts_s)
         self._axis, self.answers_s = name, begins_s + lasts_s + self.reading_s
 
 

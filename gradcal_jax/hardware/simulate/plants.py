@@ -14,6 +14,7 @@ from gradcal_jax.formulas import lag_filter
 Floats = NDArray[np.float64]
 # How an uncontrolled temperature wavers.
 _WAVERS_K, _WAVES_S = 0.7, 210.0
+_KNOTS_BY_HAND = 25
 
 
 def decayed(driving: Floats, keep: Floats | float, begun: Floats | float) -> Floats:
@@ -225,6 +226,17 @@ class AxisPlant:
                 ramp_s, slope = peak / acceleration_dps2, math.copysign(acceleration_dps2, way)
                 parts += [(ramp_s, slope), (abs(way) / peak - ramp_s, 0.0), (ramp_s, -slope)]
             self._follow(now_s, parts, 0.0, position + way)
+
+    def turn_by_hand(self, now_s: float, target_deg: float, lasts_s: float) -> None:
+        """From standstill to an angle: the plans' shape "hand", uneven by 30 %, in pieces of constant acceleration."""
+        with self._lock:
+            now_s = max(now_s, self._known_until_s)
+            knots = np.linspace(0.0, 1.0, _KNOTS_BY_HAND)
+            rates = (1.0 - np.cos(2.0 * np.pi * knots)) * (1.0 + 0.3 * np.sin(6.0 * np.pi * knots))
+            piece_s = lasts_s / (_KNOTS_BY_HAND - 1)
+            # The integral of the rates, linear between the knots, is the turn.
+            rates *= (target_deg - self.state(now_s)[0]) / (piece_s * float(np.sum(rates)))
+            self._follow(now_s, [(piece_s, slope) for slope in (np.diff(rates) / piece_s).tolist()], 0.0, target_deg)
 
     def _follow(
         self, now_s: float, parts: list[tuple[float, float]], final_dps: float, ends_deg: float | None = None

@@ -20,7 +20,10 @@ from calibration_samples import (
 
 from gradcal_jax.calibration.correction import apply, correct
 from gradcal_jax.calibration.equation import map_of
+from gradcal_jax.calibration.file import write_calibration
+from gradcal_jax.cli import main
 from gradcal_jax.records.log import Log, LogError, Reason
+from gradcal_jax.records.log_file import write_log
 
 
 def log_of(calibration, rows=500, seed=0, **more):
@@ -141,6 +144,18 @@ def test_a_log_that_does_not_fit_is_a_sentence():
     without = replace(log, specific_force_m_per_s2=None, force_axes=())
     with pytest.raises(LogError, match="no accelerometer x, but"):
         apply(calibration_of(a_truth()), without)
+
+
+def test_a_corrected_log_is_not_corrected_again(tmp_path, capsys):
+    log, _ = log_of(WHOLE, 50)
+    calibration, raw, done = (str(tmp_path / name) for name in ("cal.toml", "raw.nc", "done.nc"))
+    write_calibration(WHOLE, calibration)
+    write_log(log, raw)
+    assert main(["apply", calibration, raw, "-o", done]) == 0
+    for command in (["apply", calibration, done, "-o", str(tmp_path / "twice.nc")], ["validate", calibration, done]):
+        assert main(command) == 2
+        assert "done.nc is already corrected, by the calibration of SN-7" in capsys.readouterr().err
+    assert not (tmp_path / "twice.nc").exists()
 
 
 def test_a_log_may_have_fewer_channels_where_none_depends_on_another():

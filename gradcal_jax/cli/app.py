@@ -47,10 +47,11 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
 
 def build() -> "App":
     """The application with every command; a command is imported when it is used."""
-    from cyclopts import App, Group
+    from cyclopts import App, Group, Parameter
 
     app = App(
         name="gradcal",
+        default_parameter=Parameter(show_default=_default),
         help=_HELP,
         version=gradcal_jax.__version__,
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
@@ -63,6 +64,11 @@ def build() -> "App":
         for place in commands:
             app.command(f"gradcal_jax.cli.{place}", name=_name(place), group=group)
     return app
+
+
+def _default(value: Any) -> str | None:
+    """A default as help shows it; None: that of a flag, or nothing."""
+    return None if value is False or value in (None, "", ()) else str(value)
 
 
 def _name(place: str) -> str:

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, show, strong, writable
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity
+from gradcal_jax.cli.recordings import ColumnMapOption, LogFile, RowsOption, UnitOption, load, quantity, text_of_log
 from gradcal_jax.tables.table import Column, Table
 from gradcal_jax.units import G
 
@@ -26,9 +26,9 @@ def apply(
     /,
     *,
     output: Output,
-    unit: Unit = None,
-    columns: Columns = None,
-    rows: Rows = None,
+    unit: UnitOption = None,
+    columns: ColumnMapOption = None,
+    rows: RowsOption = None,
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
@@ -50,7 +50,7 @@ def apply(
 
     content = read_calibration(calibration)
     writable(output, force)
-    recorded = load(log, columns, rows, unit=unit)
+    recorded = _not_corrected(load(log, columns, rows, unit=unit), log)
     number = _unit(recorded, content.serial_number, unit)
     corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
@@ -63,7 +63,7 @@ def apply(
     alone, left_in = ", ".join(corrected.left_alone), ", ".join(corrected.left_in)
     notes += [f"these channels are not in the calibration, and were left unchanged: {alone}"] if alone else []
     notes += [f"these errors are in the calibration, but were not subtracted: {left_in}"] if left_in else []
-    lines = [described(corrected.log, str(log)), *(f"note: {note}" for note in notes), f"wrote {output}"]
+    lines = [text_of_log(corrected.log, str(log)), *(f"note: {note}" for note in notes), f"wrote {output}"]
     return show("\n".join(lines), record, json=json, wished=not any(outside.values()))
 
 
@@ -72,11 +72,11 @@ def validate(
     log: LogFile,
     /,
     *,
-    unit: Unit = None,
+    unit: UnitOption = None,
     earth_rate: str | None = None,
     gravity: str | None = None,
-    columns: Columns = None,
-    rows: Rows = None,
+    columns: ColumnMapOption = None,
+    rows: RowsOption = None,
     json: JsonNumbers = False,
 ) -> int:
     """Test a calibration on a different log, and print the remaining errors by temperature and rate.
@@ -96,7 +96,7 @@ def validate(
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     weight = G if gravity is None else quantity(gravity, "acceleration", "--gravity")
     content = read_calibration(calibration)
-    recorded = load(log, columns, rows, unit=unit)
+    recorded = _not_corrected(load(log, columns, rows, unit=unit), log)
     use_float64()
     from gradcal_jax.estimation import validation as work
 
@@ -105,7 +105,7 @@ def validate(
     judged = work.acceptances(content, axes)
     record = {"simulated": recorded.simulated or content.simulated, "axes": work.validation_rows(axes)}
     record["requirements"] = [row._asdict() for row in judged]
-    lines = [described(recorded, str(log)), *("\n" + _validation_text(row) for row in axes)]
+    lines = [text_of_log(recorded, str(log)), *("\n" + _validation_text(row) for row in axes)]
     for row in judged:
         error = f"{row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors that all moves have in"
         lines += ["", f"{row.name}, axis {row.axis}: {strong(row.verdict)}", f"  {error} common are not included)"]
@@ -138,8 +138,8 @@ def export(
     output
         The file to write; by default the text is printed, and the list of losses goes to stderr.
     temperature
-        The temperature for which a kalibr or matrices file, or the matrices of a template, are computed, such as "25
-        degC".
+        The temperature of the matrices and biases, such as "25 degC": for kalibr, matrices, gains, tracker and ins; for
+        a template, if it uses them.
     instance
         Number of the sensor on the flight controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
@@ -157,7 +157,8 @@ def export(
     if output is not None:
         writable(output, force)
     if (format is None) == (template is None):
-        raise ValueError("give either the format (--format) or a template (--template)")
+        formats = ", ".join(name for name in exports.FORMATS if name != "template")
+        raise ValueError(f"state either a format with --format ({formats}) or a template with --template")
     text = None if template is None else read_text(template)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
@@ -171,6 +172,13 @@ def export(
         return 0
     record = {"text": done.text, "losses": [loss._asdict() for loss in done.losses], "notes": done.notes}
     return show(f"{words}\nwrote {output}", record, json=json)
+
+
+def _not_corrected(log: "Log", path: Path) -> "Log":
+    """The log, if no calibration was applied to it. Raises `ValueError` otherwise: it would be corrected twice."""
+    if (by := log.provenance.get("corrected")) is not None:
+        raise ValueError(f"{path} is already corrected, {by}: name the log as it was recorded")
+    return log
 
 
 def _unit(log: "Log", serial_number: str, unit: str | None) -> str | int:

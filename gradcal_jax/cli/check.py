@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.output import Flag, Json, show, strong
+from gradcal_jax.cli.output import Json, Switch, show, strong
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.tables.table import Table
 from gradcal_jax.units import times_text
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from gradcal_jax.spec.spec_sections import Spec
 
 
-def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
+def check(file: Path, /, *, files_only: Switch = False, json: Json = False) -> int:
     """List all errors of a spec, or describe its plan and what the plan cannot observe; print a recipe as a table.
 
     Parameters
@@ -41,7 +41,7 @@ def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int
         blind = check_of(contents)
     record = numbers(contents) | {"memory_bytes": needed_bytes(contents)}
     record["unobservable"] = None if files_only or too else blind
-    lines = [strong(contents.title or str(file)), summary(contents), *omitted_lines(contents)]
+    lines = [strong(contents.title or str(file)), text_of_spec(contents), *omitted_lines(contents)]
     lines += [f"note: {sentence}" for sentence in blind]
     sound = "the spec has no errors" + ("; read the notes above" if blind else "")
     lines.append(f"too large: {too}" if too else sound)
@@ -80,7 +80,7 @@ def omitted_lines(spec: "Spec") -> list[str]:
     return [*lines, *branch_sentences(spec), *attitude_sentences(spec)]
 
 
-def summary(spec: "Spec") -> str:
+def text_of_spec(spec: "Spec") -> str:
     """Requirements and plan as plain text, from the file alone."""
     from gradcal_jax.recipe.bench_tables import plan_lines
     from gradcal_jax.recipe.tracks import tracks_of

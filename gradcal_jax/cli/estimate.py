@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import ForceOutput, JsonNumbers, OptionalOutput, show, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.recordings import Columns, LogFile, described, load, load_all, quantity
+from gradcal_jax.cli.recordings import ColumnMapOption, LogFile, load, load_all, quantity, text_of_log
 
 if TYPE_CHECKING:
     from gradcal_jax.calibration.file import Calibration
@@ -34,7 +34,7 @@ def estimate(
     output: OptionalOutput = None,
     gravity: str | None = None,
     temperature: str | None = None,
-    columns: Columns = None,
+    columns: ColumnMapOption = None,
     force: ForceOutput = False,
     json: JsonNumbers = False,
 ) -> int:
@@ -87,7 +87,7 @@ def estimate(
         rows, texts, calibrations, wished = _by_hand(logs[0], g, at, sources)
     else:
         rows, texts, calibrations, wished = _warm_up(logs, sources)
-    lines = [described(one, str(path)) for one, path in zip(logs, (log, *more), strict=False)]
+    lines = [text_of_log(one, str(path)) for one, path in zip(logs, (log, *more), strict=False)]
     lines += texts
     for one in calibrations:
         if (path := files.get(one.serial_number)) is not None:

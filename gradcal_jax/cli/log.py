@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gradcal_jax.cli.output import Json, OptionalOutput, RunPath, show
-from gradcal_jax.cli.recordings import Columns, load
+from gradcal_jax.cli.recordings import load
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def log(
     output: OptionalOutput = None,
     unit: str | None = None,
     recording: Path | None = None,
-    columns: Columns = None,
+    columns: Path | None = None,
     json: Json = False,
 ) -> int:
     """Write the log of a run: the samples decoded from the raw bytes, the angles, the temperatures and the standstills.
@@ -33,6 +33,8 @@ def log(
     recording
         A recording that the IMU's own logger made during this run; its clock is aligned with the clock of the run by
         comparing the motion.
+    columns
+        If the recording is a table: its column map (gradcal-columns/1); see gradcal start column-map.
     json
         Print the contents of the log as JSON.
     """

@@ -6,7 +6,16 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.output import JsonNumbers, Plot, drawable, show, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity, span
+from gradcal_jax.cli.recordings import (
+    ColumnMapOption,
+    LogFile,
+    RowsOption,
+    UnitOption,
+    load,
+    quantity,
+    span,
+    text_of_log,
+)
 
 if TYPE_CHECKING:
     from gradcal_jax.identify import AllanFit
@@ -23,10 +32,10 @@ def noise(
     /,
     *,
     axis: Axes = (),
-    unit: Unit = None,
+    unit: UnitOption = None,
     without: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    columns: Columns = None,
-    rows: Rows = None,
+    columns: ColumnMapOption = None,
+    rows: RowsOption = None,
     sensor_rate: str | None = None,
     json: JsonNumbers = False,
     plot: Plot = None,
@@ -35,9 +44,8 @@ def noise(
     bounds the drift (the Direct Bound of Z. Berman), as a part of a spec.
 
     The bias over temperature (a cubic, with a lag if that fits better) is subtracted first, if the temperature changes
-    by 5 K or more. The exit
-    status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk is larger
-    than that of any gyro: check the units.
+    by 5 K or more. The exit status is 1 if the record shows no drift in addition to the angle random walk, or if the
+    angle random walk is larger than that of any gyro: check the units.
 
     Parameters
     ----------
@@ -63,7 +71,7 @@ def noise(
         rest = work.at_rest(recorded, name, of_unit, without=left_out)
         rest.walk_of_sensor(0.0)  # asks before anything is printed
         done.append((rest, *work.allan_of(rest), work.instability(rest)))
-    lines, channels, wished = [described(recorded, str(log))], [], True
+    lines, channels, wished = [text_of_log(recorded, str(log))], [], True
     for rest, deviation, fit, bound in done:
         lines += ["", _text(bound, fit)]
         channels.append({**work.instability_row(bound), "allan": work.allan_row(rest, deviation, fit)})

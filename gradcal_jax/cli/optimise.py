@@ -7,7 +7,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.output import INTERRUPTED, Flag, Force, Json, Output, complain, show, strong, writable
+from gradcal_jax.cli.output import INTERRUPTED, Force, Json, Output, Switch, complain, show, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.tables.display import amount
@@ -30,7 +30,7 @@ def optimise(
     output: Output,
     json: Json = False,
     steps: int | None = None,
-    until_met: Flag = False,
+    until_met: Switch = False,
     force: Force = False,
 ) -> int:
     """Minimise the error that a plan leaves, within the limits of sensor, rig and time; write the new plan as a recipe.

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from gradcal_jax.tables.display import printable
 
-Flag = Annotated[bool, Parameter(negative="")]
+Switch = Annotated[bool, Parameter(negative="")]
 Force = Annotated[bool, Parameter(negative="", help="Overwrite an existing file.")]
 ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite an existing output file.")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, Json, Plot, drawable, show, strong
+from gradcal_jax.cli.output import Json, Plot, Switch, drawable, show, strong
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.units import time_text, times_text
 
@@ -18,8 +18,8 @@ def predict(
     specs: Annotated[tuple[Path, ...], Parameter(negative="")],
     /,
     *,
-    parameters: Flag = False,
-    budget: Flag = False,
+    parameters: Switch = False,
+    budget: Switch = False,
     json: Json = False,
     plot: Plot = None,
 ) -> int:

@@ -9,21 +9,21 @@ if TYPE_CHECKING:
     from gradcal_jax.records.log import Log
 
 LogFile = Annotated[Path, Parameter(help="A log (.nc), a flight log, or a table of another program with --columns.")]
-Columns = Annotated[
+ColumnMapOption = Annotated[
     Path | None,
     Parameter(
         name="--columns",
         help="If LOG is a table of another program: its column map (gradcal-columns/1); see gradcal start column-map.",
     ),
 ]
-Rows = Annotated[
+RowsOption = Annotated[
     str | None,
     Parameter(
         name="--rows",
         help='Of a table or a flight log only these rows, from 0: "1000..250000", or "1000.." for all from 1000 on.',
     ),
 ]
-Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
+UnitOption = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 
 _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 
@@ -104,6 +104,6 @@ def quantity(text: str, dimension: str, option: str) -> float:
         raise ValueError(f"{option} {text!r}: {error}") from None
 
 
-def described(log: "Log", name: str) -> str:
+def text_of_log(log: "Log", name: str) -> str:
     """A log in a few lines: its contents, the numbers of rows by use, and every fault."""
     return f"{name}: " + "\n".join(log.summary_lines())

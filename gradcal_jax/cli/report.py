@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, Force, Json, Output, show, writable
+from gradcal_jax.cli.output import Force, Json, Output, Switch, show, writable
 from gradcal_jax.cli.precision import use_float64
 
 
@@ -14,7 +14,7 @@ def report(
     /,
     *,
     output: Output,
-    certificate: Flag = False,
+    certificate: Switch = False,
     rig: Path | None = None,
     number: str = "",
     customer: str = "",

@@ -7,7 +7,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, complain, show
+from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Json, OptionalOutput, Switch, complain, show
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.rig import status_text
 from gradcal_jax.units import parse, time_text
@@ -29,11 +29,11 @@ def run(
     rig: Path | None = None,
     output: OptionalOutput = None,
     resume: Path | None = None,
-    simulate: Flag = False,
+    simulate: Switch = False,
     seed: int = 0,
     sample_rate: str = "125 Hz",
-    dry_run: Flag = False,
-    yes: Flag = False,
+    dry_run: Switch = False,
+    yes: Switch = False,
     note: str = "",
     units: int = 1,
     json: Json = False,

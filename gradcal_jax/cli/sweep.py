@@ -3,7 +3,7 @@
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gradcal_jax.cli.output import FAILED, INTERRUPTED, Json, Output, Plot, complain, drawable, show, strong
 from gradcal_jax.cli.progress import MovingLine
@@ -93,10 +93,16 @@ def summary_of(results: "xarray.Dataset") -> Table:
             best = np.unravel_index(int(np.nanargmin(values)), values.shape)
             at = dict(zip(variable.dims, best, strict=True))
             places = {axis: results[axis].values[at[results[axis].dims[0]]] for axis in results.coords}
-            where = [f"{axis} {v:.6g}" if isinstance(v, np.floating) else f"{axis} {v}" for axis, v in places.items()]
+            where = [_place(str(axis), value, results[axis].attrs.get("units", "1")) for axis, value in places.items()]
             sizes = (float(of(values)) for of in (np.nanmin, np.nanmedian, np.nanmax))
             verdicts = Counter(results[about["verdict"]].values.ravel())
             met = verdicts["met"] if {"met", "missed"} & verdicts.keys() else None  # without a target
             name = f"{about['requirement']}, {about['statistic']}"
             rows.append((name, *sizes, str(about["units"]), met, ", ".join(where)))
     return Table.of(["residual (1σ)", "least", "median", "most", "unit", "met", "least at"], rows)
+
+
+def _place(axis: str, value: Any, unit: str) -> str:
+    """A value of an axis: "gradient 0.5 K/min"."""
+    number = str(value) if isinstance(value, str) else f"{value:.6g}"
+    return f"{axis} {number}" + f" {unit}" * (unit != "1")

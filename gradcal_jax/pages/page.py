@@ -13,7 +13,7 @@ import gradcal_jax
 from gradcal_jax.pages.certificate import certificate_part
 from gradcal_jax.pages.figures import calibration_pictures, plan_pictures, residual_pictures, run_picture
 from gradcal_jax.pages.history import RunHistory, history_of
-from gradcal_jax.pages.residuals import outcome_table, residuals_of
+from gradcal_jax.pages.residuals import outcome_table, residuals_left
 from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, tests
@@ -84,14 +84,14 @@ def _verdict(sources: Sources) -> str:
 
 def _sections(sources: Sources, history: RunHistory | None) -> list[PageSection]:
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
-    found = residuals_of(sources)
-    about = (
-        "What remains of each error within the stated range: the named statistic of one standard deviation (1σ). "
-        "Before: by the priors of the spec."
-    )
+    found = residuals_left(sources)
+    outcomes = outcome_table(sources, found)
+    about = "What remains of each error within the stated range: the named statistic of one standard deviation (1σ)."
+    if any(column.name == "before" for column in outcomes.columns):
+        about += " Before: by the priors of the spec."
     notes = [f"Note: {note}." for note in _notes(sources)]
     sections = [
-        PageSection("Requirements", [about, *notes], [outcome_table(sources, found)]),
+        PageSection("Requirements", [about, *notes], [outcomes]),
         PageSection("Residuals", pictures=list(residual_pictures(found))),
     ]
     if spec is not None:

@@ -26,7 +26,7 @@ class ResidualLeft(NamedTuple):
     stages: dict[str, ResidualMap]
 
 
-def residuals_of(sources: Sources) -> list[ResidualLeft]:
+def residuals_left(sources: Sources) -> list[ResidualLeft]:
     """The residuals of all requirements of a plan."""
     spec, calibration = sources.spec, sources.calibration
     if spec is None:

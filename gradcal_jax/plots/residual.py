@@ -26,14 +26,15 @@ def draw_map(
     title: str = "",
     ax: Axes | None = None,
 ) -> tuple[Axes, QuadMesh]:
-    """Residual `(n_T, n_ω)` as colour with contour lines; points that the plan cannot observe stay blank."""
+    """Residual `(n_T, n_ω)` as colour with contour lines, which the colour bar has too; points that the plan cannot
+    observe stay blank."""
     ax = new_axes(ax)
     shown = np.ma.masked_invalid(residual)
     mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=COLOUR_MAP, shading="nearest", rasterized=True)
+    bar = ax.figure.colorbar(mesh, ax=ax, label=f"residual (1σ), {unit}")
     if shown.count() > 3 and float(shown.max()) > float(shown.min()):
-        contours = ax.contour(rate_dps, temperature_c, shown, levels=4, colors="white", linewidths=0.7)
-        ax.clabel(contours, fmt="%.3g", fontsize=8)
-    ax.figure.colorbar(mesh, ax=ax, label=f"residual (1σ), {unit}")
+        # The labels of lines near an edge would be cut off.
+        bar.add_lines(ax.contour(rate_dps, temperature_c, shown, levels=4, colors="white", linewidths=0.7))
     ax.set(xlabel="rate, deg/s", ylabel="temperature, °C", title=title)
     return ax, mesh
 

@@ -31,7 +31,7 @@ from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.requirement import QUANTITIES
 from gradcal_jax.spec.spec import spec_of
-from gradcal_jax.sweeps.sweep_file import Sweep
+from gradcal_jax.sweeps.sweep_file import Sweep, SweptAxis
 from gradcal_jax.tables.locking import take
 from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.tables.writing import to_toml
@@ -52,11 +52,13 @@ _VARIABLES: Final = {
 }
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox")
 _TRIES: Final = 3
-_ONE_THREAD: Final = {
+# Of a worker, which has one thread.
+_ENVIRONMENT: Final = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "JAX_PLATFORMS": "cpu",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
     "LOKY_MAX_MEMORY_LEAK_SIZE": "4e9",
 }
 
@@ -103,8 +105,8 @@ def evaluate(do: str, base: str, changes: Mapping[str, object]) -> Record:
             record |= {"convergence": best.sentence, "optimised_spec": to_toml(spec), "objective_before": best.before}
         record |= {name: getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
         for k, row in enumerate(requirement_rows(spec)):
-            values = {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
-            record |= values | {f"{k} residual": row.judged, f"{k} verdict": row.verdict or ""}
+            record |= {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
+            record |= {f"{k} residual": row.judged, f"{k} verdict": row.verdict or ""}
         return record
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
@@ -134,15 +136,15 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
     """Processes of this machine, by default one for each core."""
     import loky
 
-    environment = dict(_ONE_THREAD)
+    environment = dict(_ENVIRONMENT)
     if (compiled := cache_folder()) is not None:
         environment["JAX_COMPILATION_CACHE_DIR"] = str(compiled)
-        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
-    many = count or loky.cpu_count()
 
     def start() -> Any:  # loky is without types
         reusable: Any = loky.get_reusable_executor
-        return reusable(many, timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),))
+        return reusable(
+            count or loky.cpu_count(), timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),)
+        )
 
     try:
         yield start
@@ -166,7 +168,8 @@ def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: in
             if not isinstance(fault, BrokenExecutor):
                 raise fault  # of this program: `evaluate` returns the faults of points
             tries[key] += 1
-            waiting.extendleft([key] if tries[key] < _TRIES else [])
+            if tries[key] < _TRIES:
+                waiting.appendleft(key)
 
 
 # --- what is kept -----------------------------------------------------------------------------------------------------
@@ -174,10 +177,15 @@ def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: in
 
 def identity_of(job: Sweep) -> dict[str, Any]:
     """What decides the results of a sweep: its request, and the versions that compute it."""
-    others = [[*key, tables] for key, tables in sorted(job.sections.items())]
-    request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
-    asked = {"asked": hashlib.sha256(request.encode()).hexdigest(), "points": job.file.count}
-    return asked | {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
+    request = [tables_of(job.file), tables_of(job.base)]
+    request += [[*key, tables] for key, tables in sorted(job.sections.items())]
+    text = json.dumps(request, sort_keys=True, ensure_ascii=False)
+    return {
+        "asked": hashlib.sha256(text.encode()).hexdigest(),
+        "points": job.file.count,
+        "gradcal_jax": gradcal_jax.__version__,
+        **versions_of(_VERSIONS),
+    }
 
 
 @contextmanager
@@ -251,23 +259,31 @@ def sweep(
 
 def variable_name(text: str) -> str:
     """A name that programs can use: letters, digits and underscores."""
-    plain = re.sub(r"\W+", "_", text.strip()).strip("_")
-    return plain if plain and not plain[0].isdigit() else f"v_{plain}"
+    plain = re.sub(r"\W+", "_", text).strip("_")
+    return plain if plain.isidentifier() else f"v_{plain}"
+
+
+def dimension_of(axis: SweptAxis) -> str:
+    """The name of an axis of the results; the whole key where a variable has the name, as for "plan.soak"."""
+    name = variable_name(axis.label)
+    return variable_name(axis.changes[0]) if name in _VARIABLES else name
 
 
 def dataset_of(job: Sweep, records: list[Record]) -> xarray.Dataset:
     """The results over the axes. Requirements give `<name>_residual`, as `gradcal predict` prints it, by the terms of
     the file alone `<name>_<statistic>` (1σ; NaN: no result, or not observable), and `<name>_verdict`; `failure` says
     why a point has no result."""
-    dims = tuple(variable_name(axis.label) for axis in job.file.axis)
+    dims = tuple(dimension_of(axis) for axis in job.file.axis)
     shape = [len(axis.listed()) for axis in job.file.axis]
     coordinates, variables = dict[str, Any](), dict[str, Any]()
     for axis, name in zip(job.file.axis, dims, strict=True):
         numbers = [axis.number_of(value) for value in axis.listed()]
         attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes), "spacing": axis.spacing}
-        words = None in numbers
-        attributes |= {} if words else {"units": axis.unit or "1"}
-        column = np.array([*map(str, axis.listed())] if words else numbers, dtype=object if words else float)
+        if None in numbers:
+            column = np.array([str(value) for value in axis.listed()], dtype=object)
+        else:
+            column = np.array(numbers, dtype=float)
+            attributes["units"] = axis.unit or "1"
         coordinates[name] = ((name,), column, attributes)
 
     def add(name: str, key: str, words: str, **attributes: str) -> None:

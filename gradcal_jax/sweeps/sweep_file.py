@@ -83,8 +83,7 @@ class SweptAxis(Section):
     @property
     def changes(self) -> tuple[str, ...]:
         """The keys of the spec that this axis sets."""
-        one = self.key or self.section
-        return self.keys or (() if one is None else (one,))
+        return self.keys or tuple(name for name in (self.key, self.section) if name)
 
     @property
     def label(self) -> str:
@@ -120,7 +119,7 @@ class SweptAxis(Section):
         numbers = [f"{number:.12g}" for number in spaced(low, high, self.count).tolist()]
         if self.unit is not None:
             return tuple(f"{number} {self.unit}" for number in numbers)
-        whole = all(isinstance(end, int) for end in (self.start, self.stop))
+        whole = isinstance(self.start, int) and isinstance(self.stop, int)
         return tuple(int(n) if whole and n.lstrip("-").isdigit() else float(n) for n in numbers)
 
     def number_of(self, value: object) -> float | None:
@@ -187,26 +186,23 @@ def read_sweep(path: str | Path) -> Sweep:
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
     file = parsed(SweepFile, text, FORMAT, source)
-    base = named_spec(file.base, Path(folder), source)
+    base = named_spec(file.base, folder, source)
     sections = {
-        (axis.section, name): tables_of(named_spec(name, Path(folder), source))[axis.section]
+        (axis.section, name): tables_of(named_spec(name, folder, source))[axis.section]
         for axis in file.axis
         if axis.section is not None
         for name in axis.values or ()
     }
-    try:
-        base = changed(base, file.change)
-        for axis in file.axis:
-            if axis.section is None:
-                _known(axis, base)
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+    base = changed(base, file.change, source)
+    for axis in file.axis:
+        if axis.section is None:
+            _known(axis, base, source)
     return Sweep(file, text, base, sections)
 
 
-def named_spec(name: str, folder: Path, source: str = "") -> Spec:
+def named_spec(name: str, folder: str | Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
-    path = folder / name
+    path = Path(folder) / name
     if path.suffix or path.exists():
         return spec_in(path)
     if name in presets.names():
@@ -214,10 +210,10 @@ def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal start --list')], source)
 
 
-def _known(axis: SweptAxis, base: Spec) -> None:
+def _known(axis: SweptAxis, base: Spec, source: str) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     try:
         changed(base, {key: axis.listed()[0] for key in axis.changes})
     except SpecError as error:
         if slips := [problem for problem in error.problems if problem.kind == "unknown"]:
-            raise SpecError(slips) from None
+            raise SpecError(slips, source) from None

@@ -41,14 +41,17 @@ class Table:
 
     def cells(self) -> list[tuple[str, ...]]:
         """Every row in words."""
-        return [tuple(shown(cell, at.digits) for at, cell in zip(self.columns, row, strict=True)) for row in self.rows]
+        digits = [column.digits for column in self.columns]
+        return [tuple(map(cell_text, row, digits)) for row in self.rows]
 
     def text(self, *, indent: str = "", width: int = WIDTH) -> str:
-        """For a terminal: aligned columns, with numbers at the right; a last column of several words that is too wide
-        is wrapped into further lines."""
+        """For a terminal: aligned columns, with numbers at the right, without columns that have no words; a last column
+        of several words that is too wide is wrapped into further lines."""
         cells = [tuple(column.head for column in self.columns), *self.cells()]
         columns: list[list[str]] = []
         for texts, numeric in zip(zip(*cells, strict=True), self._numeric(), strict=True):
+            if self.rows and not any(texts[1:]):
+                continue
             size = max(map(len, texts))
             columns.append([text.rjust(size) if numeric else text.ljust(size) for text in texts])
         lines: list[str] = []
@@ -87,7 +90,7 @@ class Table:
         return [set() < kind <= {float, int} for kind in kinds]
 
 
-def shown(cell: Cell, digits: int = 4) -> str:
+def cell_text(cell: Cell, digits: int = 4) -> str:
     """A cell in words: numbers to significant digits, without powers of ten below a million."""
     if cell is None:
         return _ABSENT

@@ -9,7 +9,13 @@ from calibration_samples import a_truth, axis, calibration_of, of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.calibration.file import Calibration, parse_calibration, read_calibration, write_calibration
+from gradcal_jax.calibration.file import (
+    Calibration,
+    PathCoefficient,
+    parse_calibration,
+    read_calibration,
+    write_calibration,
+)
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.schemas import schema
 from gradcal_jax.tables.writing import to_toml
@@ -57,6 +63,12 @@ def test_a_covariance_must_be_square_and_of_known_names():
         parse_calibration(more)
     with pytest.raises(SpecError, match=r"no channel has: gyro_x\.q"):
         parse_calibration(more.replace("[0.0]]", "[0.0, 1.0]]"))
+
+
+def test_a_coefficient_beside_the_maps_has_a_name_for_people():
+    known = {"channel": "gyro_x", "value": 1e-7, "standard_deviation": 1e-7, "unit": "s"}
+    labels = [PathCoefficient.model_validate(known | {"name": name}).label for name in ("hysteresis_20K", "ww_yz")]
+    assert labels == ["gyro x hysteresis 20K", "gyro x bias by rate y times rate z"]
 
 
 TEXTS = st.one_of(st.text(max_size=400), st.sampled_from(["", "=", "nan", "[", '"', "1e999", "\n", "é", "-"]))

@@ -95,7 +95,9 @@ def test_whatever_prints_numbers_prints_them_as_json_too(command, capsys):
 @pytest.mark.parametrize("command", ARGUMENTS)
 def test_the_help_says_what_every_argument_and_option_is(command, capsys):
     assert main([*command.split(), "--help"]) == 0
-    lines = re.findall(r"^  (?:-|[A-Z]{2}).*", capsys.readouterr().out, re.MULTILINE)
+    told = capsys.readouterr().out
+    assert not re.search(r"\[default: (False|None|\(\)|\"\")\]", told)  # says nothing
+    lines = re.findall(r"^  (?:-|[A-Z]{2}).*", told, re.MULTILINE)
     assert lines
     assert [line for line in lines if not re.search(r": [^\[\s]", line)] == []
 

@@ -40,7 +40,7 @@ def test_the_answer_says_what_is_least_and_what_failed_and_the_picture_shows_eve
     assert "6 points; 3 of them failed: " in printed
     assert "exceeds rig.chamber.max_heating" in printed
     # Of a requirement without a target no point counts as met or missed.
-    assert "deg/h – gradient 1, walk 0.05" in " ".join(printed.split())
+    assert "deg/h – gradient 1 K/min, walk 0.05 deg/sqrt(h)" in " ".join(printed.split())
     assert (folder / "results.png").read_bytes().startswith(b"\x89PNG")
     results = read_dataset(folder / "results.nc")
     (axes,) = draw_sweep(results).axes

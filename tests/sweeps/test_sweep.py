@@ -13,7 +13,15 @@ from jobs_small import GRID, written
 
 import gradcal_jax as gj
 from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.sweeps.sweep import changes_of, evaluate, identity_of, kept_records, local_workers, sweep
+from gradcal_jax.sweeps.sweep import (
+    changes_of,
+    dataset_of,
+    evaluate,
+    identity_of,
+    kept_records,
+    local_workers,
+    sweep,
+)
 from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
 
 IMU = """format = "gradcal-sweep/1"
@@ -139,6 +147,14 @@ def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
     with pytest.raises(ValueError, match=r"none of the 4 points has a result.*exceeds max_rate of axis"):
         sweep(read_sweep(path), tmp_path / "results.nc", workers=pool)
+
+
+def test_an_axis_with_the_name_of_a_result_has_the_name_of_its_key():
+    """The soak is a key of the plan, and its whole duration a result."""
+    job = parse_sweep(IMU.replace("rig.table.tilt", "plan.soak").replace('"10 urad", "1 mrad", "a lot"', '"1 h"'))
+    results = dataset_of(job, [{"failure": "", "soak": 3600.0}])
+    assert results["soak"].dims == ("plan_soak",)
+    assert results["plan_soak"].attrs["long_name"] == "soak"
 
 
 def test_an_imu_is_swept():

@@ -27,16 +27,19 @@ POINTS = 100
 
 def of_step(path: Path) -> float:
     """Seconds of processor time of a first step."""
+    from gradcal_jax.cli.precision import use_float64
+
+    # As in the command line, before JAX is imported: afterwards memory and garbage collection stay as they are.
+    use_float64()
+
     import jax
     import jax.numpy as jnp
 
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.design.cycle_plan import CyclePlan
     from gradcal_jax.design.visits import visit_choices
     from gradcal_jax.spec.design import Design
     from gradcal_jax.spec.spec import read_spec
 
-    use_float64()
     begun = time.process_time()
     spec = read_spec(path)
     plan = CyclePlan(spec, visit_choices(spec, spec.design or Design())[0] if spec.turns_one_gyro else None)

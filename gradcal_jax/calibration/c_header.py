@@ -4,8 +4,7 @@ The header's text is `templates/calibration.h`.
 """
 
 from collections.abc import Iterable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from gradcal_jax.calibration.equation import SIGNALS, Equation, Map, PlacedTerm, clipped, linear_part, placed_terms
 from gradcal_jax.calibration.file import TEMPERATURE_RATE, Calibration
 from gradcal_jax.calibration.losses import Export, losses_of, within_ranges
-from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.bases import SplineKeys
+from gradcal_jax.tables.text_template import rendered
 
 Floats32 = NDArray[np.float32]
 _F = np.float32
@@ -25,17 +23,6 @@ _polyval: Any = polyval  # (its types are for other shapes)
 _POINTS = 200
 # Rounds of a header, and the change, as a share of the largest value, at which they end.
 _FEWEST, _MOST, _SETTLED = 6, 40, 3e-7
-
-
-class HeaderTerm(NamedTuple):
-    """A term of a header, as `PlacedTerm`: centre and inverse scale of temperature and of rate; and the coefficients
-    `(n_T, n_ω)` of their powers."""
-
-    of: int
-    across: bool
-    factors: list[int]
-    sides: Floats32
-    table: NDArray[Any]
 
 
 class Header:
@@ -47,8 +34,7 @@ class Header:
         signals = {name.strip("|") for channel in channels for term in channel.term for name in term.signals}
         used = signals.union(channel.input for channel in channels) - {TEMPERATURE_RATE}
         self.inputs = sorted(used, key=[*SIGNALS, *sorted(used)].index)
-        self._placed = placed_terms(channels, self.inputs)
-        self.terms = [_header_term(placed) for placed in self._placed]
+        self.terms = placed_terms(channels, self.inputs)
         low, high = calibration.valid_temperature
         matrix, bias = linear_part(channels, 0.5 * (low + high), self.inputs)
         self.inverse = np.linalg.inv(matrix)
@@ -57,56 +43,42 @@ class Header:
         for channel in channels:
             self.ranges[self.inputs.index(channel.input)] = (*channel.valid_temperature, *channel.valid_rate)
         temperature, true = within_ranges(calibration, self.inputs, _POINTS)
-        self.temperature, self.raw = temperature.astype(_F), (true @ matrix.T + bias).astype(_F)
+        self.temperature, self.raw = temperature.astype(_F), (matrix @ true + bias[:, None]).astype(_F)
         self.rounds = self._solve(self.raw, self.temperature, _FEWEST, _MOST)[1]
 
     def corrected(self, raw: Floats | Floats32, temperature_c: Floats | Floats32) -> Floats:
-        """The inputs `(n, channels)` for readings, computed in float32 as in C."""
+        """The inputs `(channels, n)` for readings, computed in float32 as in C."""
         out, _ = self._solve(raw.astype(_F), temperature_c.astype(_F), self.rounds, self.rounds)
-        return out.T.astype(np.float64)
+        return out.astype(np.float64)
 
     def _solve(self, raw: Floats32, temperature: Floats32, fewest: int, most: int) -> tuple[Floats32, int]:
         """The inputs, and as many rounds as large errors need."""
-        maps: list[Map] = []
-        for placed, term in zip(self._placed, self.terms, strict=True):
-            within = clipped(temperature, placed.channel.valid_temperature)
-            maps.append(partial(_map, term, within))
-        solving, inverse = Equation(self._placed, maps), self.inverse.astype(_F)
-        out, _, rounds = solving.solve(raw.T, inverse, fewest=fewest, most=most, settled=_SETTLED)
+        solving = Equation(self.terms, [_map_of(placed, temperature) for placed in self.terms])
+        inverse = self.inverse.astype(_F)
+        out, _, rounds = solving.solve(raw, inverse, fewest=fewest, most=most, settled=_SETTLED)
         return out, rounds
 
 
-def _header_term(placed: PlacedTerm) -> HeaderTerm:
-    channel, term, of, across, factors = placed
-    sides: list[float] = []
-    for basis in term.bases:
-        if isinstance(basis, SplineKeys):
-            raise ValueError(
-                f"a C header holds polynomials, and {term.name} of {channel.label} has knots: estimate it with "
-                "a degree, or export to csv"
-            )
-        sides += [basis.centre, 1.0 / basis.scale]
-    return HeaderTerm(of, across, factors, np.array(sides, _F), term.table.astype(_F))
-
-
-def _map(term: HeaderTerm, temperature: Floats32, rate: Floats32) -> Floats32:
-    t0, t1, w0, w1 = term.sides
-    x, w = (temperature - t0) * t1, (rate - w0) * w1
-    return _polyval(x, _polyval(w, term.table.T), tensor=False)
+def _map_of(placed: PlacedTerm, temperature: Floats32) -> Map:
+    """The map of a term, as Horner's rule computes it in float32."""
+    t0, t1, w0, w1 = np.array(placed.sides, _F)
+    x = (clipped(temperature, placed.channel.valid_temperature) - t0) * t1
+    table = placed.table.astype(_F).T
+    return lambda rate: _polyval(x, _polyval((rate - w0) * w1, table), tensor=False)
 
 
 def c_header(calibration: Calibration) -> Export:
     """The header's text, and what single precision loses. Raises `ValueError` for bases other than polynomials."""
     header = Header(calibration)
-    raw, temperature = header.raw[:1], header.temperature[:1]
+    raw, temperature = header.raw[:, :1], header.temperature[:1]
     out = header.corrected(raw, temperature)
-    rounding = np.max(np.abs(header.inverse) @ np.abs(raw[0]))  # of raw counts far off zero
+    rounding = np.max(np.abs(header.inverse) @ np.abs(raw[:, 0]))  # of raw counts far off zero
     values: dict[str, Any] = {
         "calibration": calibration,
         "header": header,
         "temperature": temperature,
-        "raw": raw[0],
-        "out": out[0],
+        "raw": raw[:, 0],
+        "out": out[:, 0],
         "tolerance": [max(4e-6 * np.max(np.abs(out)), 4e-7 * rounding, 1e-7)],
         "floats": _literals,
         "comment": _comment,

@@ -18,7 +18,6 @@ from gradcal_jax.calibration.equation import SIGNALS, clipped, equation, linear_
 from gradcal_jax.calibration.file import (
     TEMPERATURE_RATE,
     CalibratedChannel,
-    CalibratedTerm,
     Calibration,
     PathCoefficient,
     build_term,
@@ -32,9 +31,10 @@ _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
 # Larger forces (m/s²) are wrong samples.
 _LARGEST_FORCE = 1000.0
 _ROWS_AT_ONCE = 1 << 15
-_SLOPE_WINDOW_S = 60.0
-# SI units of coefficients under [[path]] that multiply dT/dt: those of a bias, and of a scale factor.
-_BY_SLOPE, _SCALE_BY_SLOPE = ("rad/K", "m/s/K"), "s/K"
+# Half of the time over which dT/dt is taken.
+_HALF_WINDOW_S = 30.0
+# SI units of coefficients under [[path]] that multiply dT/dt, and whether they also multiply the channel's own input.
+_BY_SLOPE = {"rad/K": False, "m/s/K": False, "s/K": True}
 
 
 class Corrected(NamedTuple):
@@ -53,29 +53,31 @@ class Corrected(NamedTuple):
 
 
 def correct(
-    channels: Sequence[CalibratedChannel], readings: Mapping[str, Floats], followed: Floats | Sequence[Floats]
-) -> dict[str, Floats]:
-    """True inputs `(n,)` by name for measured ones ("rate x": rad/s, "force z": m/s²; NaN: not known).
+    channels: Sequence[CalibratedChannel],
+    inputs: Sequence[str],
+    measured: Floats,
+    followed: Floats | Sequence[Floats],
+) -> Floats:
+    """True inputs `(inputs, n)` for measured ones ("rate x": rad/s, "force z": m/s²; NaN: not known).
 
     `followed`: temperatures `(n,)`, °C, or those of each channel. Readings without a channel count as true, such as
     "temperature rate", K/s. Raises `ValueError` where a map is so steep that it cannot be inverted.
     """
-    known = {name: values for name, values in readings.items() if np.isfinite(values).any()}
-    inputs, result = list(known), np.stack(list(known.values()))
-    temperatures = np.broadcast_to(followed, (len(channels), result.shape[1]))
-    for begin in range(0, result.shape[1], _ROWS_AT_ONCE):
+    known: list[int] = np.flatnonzero(np.isfinite(measured).any(axis=1)).tolist()
+    names, result = [inputs[k] for k in known], measured.copy()
+    temperatures = np.broadcast_to(followed, (len(channels), measured.shape[1]))
+    for begin in range(0, measured.shape[1], _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
-        result[:, rows] = _solved(channels, inputs, result[:, rows], temperatures[:, rows])
-    return {**readings, **dict(zip(inputs, result, strict=True))}
+        result[known, rows] = _solved(channels, names, measured[known, rows], temperatures[:, rows])
+    return result
 
 
 def correct_triads(
     channels: Sequence[CalibratedChannel], rate: Floats, force: Floats, temperature_c: Floats
 ) -> tuple[Floats, Floats]:
     """True rates and specific forces `(n, 3)` along x, y, z from measured ones; NaN where there is none."""
-    measured = dict(zip(SIGNALS, (*rate.T, *force.T), strict=True))
-    done = np.stack(list(correct(channels, measured, temperature_c).values()), axis=1)
-    return done[:, :3], done[:, 3:]
+    true = correct(channels, SIGNALS, np.hstack([rate, force]).T, temperature_c).T
+    return true[:, :3], true[:, 3:]
 
 
 def _solved(
@@ -112,8 +114,7 @@ def _unsolved(channel: CalibratedChannel, at: Floats, measured: Floats, change: 
 
 def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
     """dT/dt, K/s, over a minute about each row."""
-    half = _SLOPE_WINDOW_S / 2
-    ends = np.clip([time_s - half, time_s + half], time_s[0], time_s[-1])
+    ends = np.clip([time_s - _HALF_WINDOW_S, time_s + _HALF_WINDOW_S], time_s[0], time_s[-1])
     before, after = np.interp(ends, time_s, temperature_c)
     return (after - before) / (ends[1] - ends[0])
 
@@ -122,7 +123,7 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     """The log of one sensor with corrected rates (rad/s) and specific forces (m/s²); channels that the calibration
     does not have stay as they are.
 
-    `unit`: its name or number in the log. Solves the equation at the module's head, row by row; beyond the
+    `unit`: its name or number in the log. Solves the calibration's equation, row by row; beyond the
     calibration's range its value at the edge holds, and `Corrected` counts such rows. Masked rows are corrected too,
     and stay masked.
 
@@ -132,31 +133,32 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     number = log.unit_index(unit)
     measured = {name: of for name, of in log.channels(number).items() if np.isfinite(of).any()}
     common = _common(calibration, measured)
-    subtracted = [one for one in calibration.path if one.unit in (*_BY_SLOPE, _SCALE_BY_SLOPE) and not one.own]
+    subtracted = [one for one in calibration.path if one.unit in _BY_SLOPE and not one.own]
     channels = [_with_gradient(channel, subtracted) for channel in common]
     temperature = _temperature(channels, log, number)
-    lags = [float(channel.thermal_lag or 0.0) for channel in channels]
+    lags = [channel.thermal_lag or 0.0 for channel in channels]
     followed = [formulas.followed(temperature, log.time_s, log.stretch_starts, lag) for lag in lags]
-    readings = {signal_of(name): of for name, of in measured.items()}
-    readings[TEMPERATURE_RATE] = temperature_slope(temperature, log.time_s)
-    corrected = correct(channels, readings, followed)
-    usable, too_warm, too_fast = log.usable(number), np.zeros(len(log.time_s), bool), 0
-    for channel, of in zip(channels, followed, strict=True):
-        too_warm |= _outside(of, channel.valid_temperature)
-        if channel.kind == "gyro":
-            too_fast += int(np.sum(_outside(corrected[channel.input], channel.valid_rate) & usable))
-    done = {channel.label: corrected[channel.input] for channel in channels}
-    names = [channel.name for channel in channels]
-    left_in = [
-        f"{one.channel}.{one.name}" for one in calibration.path if one.channel in names and one not in subtracted
+    inputs = [*map(signal_of, measured), TEMPERATURE_RATE]
+    rows = np.stack([*measured.values(), temperature_slope(temperature, log.time_s)])
+    corrected = dict(zip(inputs, correct(channels, inputs, rows, followed), strict=True))
+    usable = log.usable(number)
+    too_warm = [_outside(of, channel.valid_temperature) for channel, of in zip(channels, followed, strict=True)]
+    too_fast = [
+        _outside(corrected[channel.input], channel.valid_rate) for channel in channels if channel.kind == "gyro"
     ]
-    result = replace(
-        _of_unit(log, number, done),
-        simulated=log.simulated or calibration.simulated,
-        provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
+    result = _of_unit(log, number, calibration)
+    for channel in channels:
+        result.channel(channel.label)[:] = corrected[channel.input]  # (a copy of the log's)
+    labels, names = [channel.label for channel in channels], [channel.name for channel in channels]
+    return Corrected(
+        result,
+        outside_temperature=int(np.sum(np.any(too_warm, axis=0) & usable)),
+        outside_rate=sum(int(np.sum(beyond & usable)) for beyond in too_fast),
+        left_alone=tuple(label for label in log.channels() if label not in labels),
+        left_in=tuple(
+            f"{one.channel}.{one.name}" for one in calibration.path if one.channel in names and one not in subtracted
+        ),
     )
-    left_alone = tuple(label for label in log.channels() if label not in done)
-    return Corrected(result, int(np.sum(too_warm & usable)), too_fast, left_alone, tuple(left_in))
 
 
 def _common(calibration: Calibration, has: Mapping[str, Floats]) -> list[CalibratedChannel]:
@@ -176,12 +178,12 @@ def _common(calibration: Calibration, has: Mapping[str, Floats]) -> list[Calibra
 
 def _with_gradient(channel: CalibratedChannel, gradients: Sequence[PathCoefficient]) -> CalibratedChannel:
     """The channel with what its bias and scale factor add with dT/dt as terms."""
-    more: list[CalibratedTerm] = []
+    terms = list(channel.term)
     for one in gradients:
         if one.channel == channel.name:
-            own = (channel.input,) if one.unit == _SCALE_BY_SLOPE else ()
-            more.append(build_term(one.name, one.unit, (TEMPERATURE_RATE, *own), {one.name: one.value}))
-    return channel.model_copy(update={"term": (*channel.term, *more)})
+            own = (channel.input,) if _BY_SLOPE[one.unit] else ()
+            terms.append(build_term(one.name, one.unit, (TEMPERATURE_RATE, *own), {one.name: one.value}))
+    return channel.model_copy(update={"term": tuple(terms)})
 
 
 def _temperature(channels: Sequence[CalibratedChannel], log: Log, number: int) -> Floats:
@@ -196,16 +198,14 @@ def _temperature(channels: Sequence[CalibratedChannel], log: Log, number: int) -
     return np.full(len(log.time_s), float(channels[0].valid_temperature[0]))
 
 
-def _of_unit(log: Log, number: int, channels: Mapping[str, Floats]) -> Log:
-    """The log of one unit, with these rates and specific forces in place of its own."""
-    parts: dict[str, Any] = {"units": (log.units[number],)}
+def _of_unit(log: Log, number: int, calibration: Calibration) -> Log:
+    """A log of one unit alone, to be corrected; its values are copies."""
+    parts: dict[str, Any] = {"units": (log.units[number],), "simulated": log.simulated or calibration.simulated}
     for name, variable in variables_of(Log).items():
         if "unit" in variable.dimensions and (values := getattr(log, name)) is not None:
             parts[name] = values[[number]]
-    result = replace(log, **parts)
-    for label, values in channels.items():
-        result.channel(label)[:] = values  # (a copy of the log's)
-    return result
+    by = f"by the calibration of {calibration.serial_number}"
+    return replace(log, **parts, provenance={**log.provenance, "corrected": by})
 
 
 def _outside(values: Floats, bounds: tuple[float, float]) -> Bools:

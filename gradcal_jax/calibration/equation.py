@@ -18,6 +18,7 @@ import numpy as np
 
 from gradcal_jax.calibration.file import CalibratedChannel, CalibratedTerm, signal_of
 from gradcal_jax.records.log import Floats
+from gradcal_jax.spec.bases import SplineKeys
 
 Array = Any
 Map = Callable[[Array], Array]
@@ -35,6 +36,24 @@ class PlacedTerm(NamedTuple):
     of: int
     across: bool
     factors: list[int]
+
+    @property
+    def table(self) -> Floats:
+        """The coefficients `(functions of temperature, functions of rate)`."""
+        return self.term.table
+
+    @property
+    def sides(self) -> list[float]:
+        """Centre and inverse scale of temperature and of rate. Raises `ValueError` for bases other than polynomials."""
+        sides: list[float] = []
+        for basis in self.term.bases:
+            if isinstance(basis, SplineKeys):
+                raise ValueError(
+                    f"a C header holds polynomials, and {self.term.name} of {self.channel.label} has knots: estimate "
+                    "it with a degree, or export to csv"
+                )
+            sides += [basis.centre, 1.0 / basis.scale]
+        return sides
 
 
 class Equation(NamedTuple):
@@ -87,18 +106,18 @@ def equation(channels: Sequence[CalibratedChannel], inputs: Sequence[str], tempe
 
 def placed_terms(channels: Sequence[CalibratedChannel], inputs: Sequence[str]) -> list[PlacedTerm]:
     """The terms, misalignments first, without those of an unknown input, which counts as zero."""
+    numbers = {name: number for number, name in enumerate(inputs, 1)}
+    numbers |= {f"|{name}|": -number for name, number in numbers.items()}
     terms: list[PlacedTerm] = []
     for channel in channels:
         for term in channel.term:
-            names = [name.strip("|") for name in term.signals]
-            if not {channel.input, *names}.issubset(inputs):
+            if not numbers.keys() >= {channel.input, *term.signals}:
                 continue
-            numbers = [inputs.index(name) + 1 for name in names]
-            factors = [-k if "|" in name else k for k, name in zip(numbers, term.signals, strict=True)]
+            own, factors = numbers[channel.input], [numbers[name] for name in term.signals]
             # By a misalignment the channel senses what acts across its axis, so that its other terms multiply it.
-            other = len(names) == 1 and names[0] != channel.input
+            other = len(factors) == 1 and factors != [own]
             across = other and term.signals[0].startswith(signal_of(channel.kind))
-            terms.append(PlacedTerm(channel, term, inputs.index(channel.input), across, factors))
+            terms.append(PlacedTerm(channel, term, own - 1, across, factors))
     return sorted(terms, key=lambda one: not one.across)
 
 

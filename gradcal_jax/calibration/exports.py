@@ -19,9 +19,9 @@ from gradcal_jax.calibration.equation import SIGNALS, linear_part
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.calibration.flight_controllers import ardupilot, px4
 from gradcal_jax.calibration.losses import Export, losses_of
-from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
+from gradcal_jax.tables.text_template import rendered
 
 _AT_ONE_TEMPERATURE: Final = ("kalibr", "matrices", "gains", "tracker", "ins")
 FORMATS: Final = ("ardupilot", "px4", "c-header", *_AT_ONE_TEMPERATURE, "csv", "template")
@@ -59,8 +59,8 @@ def export(
             done = _template(calibration, presets.template(f"export-{target}.j2"), temperature_c)
         case _:
             raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
-    path = [f"{one.label}, {one.value:.3g} {one.unit}: the target has no place for it" for one in calibration.path]
-    notes = [*done.notes, *path]
+    notes = list(done.notes)
+    notes += [f"{one.label}, {one.value:.3g} {one.unit}: the target has no place for it" for one in calibration.path]
     if calibration.unobservable and target != "csv":
         notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     if calibration.simulated:
@@ -121,7 +121,7 @@ def _template(calibration: Calibration, template: str | None, at: float | None) 
     inverse = np.linalg.inv(matrix)
 
     def corrected(raw: Floats, temperature_c: Floats) -> Floats:
-        return (raw - bias) @ inverse.T
+        return inverse @ (raw - bias[:, None])
 
     text = rendered(template, _values(calibration) | linear_at(calibration, at) | {"temperature": at})
     known = {channel.label for channel in calibration.channel}
@@ -139,7 +139,7 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "simulated": calibration.simulated,
         "frame": calibration.frame,
         "order": calibration.order,
-        "temperature_range": [float(end) for end in calibration.valid_temperature],
+        "temperature_range": list(map(float, calibration.valid_temperature)),
         "coefficients": calibration.values(),
         "rows": _rows(calibration),
         "noise": {name: float(value) for name, value in noise.items() if value is not None},
@@ -154,8 +154,13 @@ def _rows(calibration: Calibration) -> list[dict[str, Any]]:
     for channel in calibration.channel:
         for term in channel.term:
             lag = 0.0 if term.temperature is None else float(channel.thermal_lag or 0.0)
-            row: dict[str, Any] = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals)}
-            row |= {"unit": term.unit, "lag_s": lag}
+            row: dict[str, Any] = {
+                "channel": channel.name,
+                "term": term.name,
+                "signals": " * ".join(term.signals),
+                "unit": term.unit,
+                "lag_s": lag,
+            }
             for key in ("temperature", "rate"):
                 keys: dict[str, Any] = term.model_dump(mode="json")[key] or {}
                 row[f"{key}_basis"] = "; ".join(f"{k}={v}" for k, v in keys.items())

@@ -70,10 +70,11 @@ class CalibratedTerm(Section):
             message = f"expected {len(functions)} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and len(functions) > 1:
-            for name, function in zip(self.coefficients, functions, strict=True):
-                if _function_of(name) != function:
-                    place = " and ".join(map(str, function))
-                    message = f"expected here the coefficient that multiplies function {place} of temperature and rate"
+            for name, (i, j) in zip(self.coefficients, functions, strict=True):
+                if _function_of(name) != (i, j):
+                    message = (
+                        f"expected here the coefficient that multiplies function {i} and {j} of temperature and rate"
+                    )
                     yield Problem(("coefficients", name), message)
                     break
 
@@ -144,8 +145,10 @@ class CalibratedChannel(Section):
     """Residuals of this channel's fit."""
 
     def _problems(self) -> Iterator[Problem]:
-        for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
-            yield from increasing(span, key) if span[0] != span[1] else []
+        for key in ("valid_temperature", "valid_rate"):
+            low, high = getattr(self, key)
+            if low != high:
+                yield from increasing((low, high), key)
 
     @property
     def name(self) -> str:
@@ -183,7 +186,7 @@ class Covariance(Section):
 
     def _problems(self) -> Iterator[Problem]:
         count = len(self.names)
-        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+        if [len(row) for row in self.matrix] != [count] * count:
             yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
         elif any(self.matrix[i][i] < 0.0 for i in range(count)):
             yield Problem(("matrix",), "a variance on the diagonal is negative")

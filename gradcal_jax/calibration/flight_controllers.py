@@ -18,6 +18,7 @@ from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import PolynomialKeys
 
 _REFERENCE, _DEGREE, _POINTS = 35.0, 3, 201
+_F = np.float32
 _LETTERS = {"gyro": ("GYR", "G"), "accelerometer": ("ACC", "A")}
 
 
@@ -44,25 +45,20 @@ def bias_polynomial(channel: CalibratedChannel, about_c: float) -> Floats:
 
 def _notes(calibration: Calibration, low: float, high: float, *more: str) -> tuple[str, ...]:
     """Sentences for the user, the first of channels whose data cover more than the target's range (°C)."""
+    words = f"the target's range is {low:g} … {high:g} °C; outside it, the value at its edge is used"
     wider = [
-        channel.label
+        f"{channel.label}: {words}"
         for channel in calibration.channel
         if low > channel.valid_temperature[0] + 1e-6 or high < channel.valid_temperature[1] - 1e-6
     ]
-    words = f"the target's range is {low:g} … {high:g} °C; outside it, the value at its edge is used"
-    return (*(f"{label}: {words}" for label in wider), *more)
+    return (*wider, *more)
 
 
 def _cubic(c: Iterable[float], temperature_c: Any, low: float, high: float, about: float) -> Any:
     """c0 + c1 d + c2 d² + c3 d³ of d = T − `about` within the range, in float32."""
-    c0, c1, c2, c3 = map(np.float32, c)
-    d = np.clip(np.float32(temperature_c), np.float32(low), np.float32(high)) - np.float32(about)
+    c0, c1, c2, c3 = map(_F, c)
+    d = np.clip(_F(temperature_c), _F(low), _F(high)) - _F(about)
     return c0 + d * c1 + d * d * c2 + d * d * d * c3
-
-
-def _single(value: float) -> str:
-    """A number that reads back as the same float32."""
-    return f"{np.float32(value):.9g}"
 
 
 def ardupilot(calibration: Calibration, number: int) -> Export:
@@ -90,16 +86,16 @@ def ardupilot(calibration: Calibration, number: int) -> Export:
     def corrected(raw: Floats, temperature_c: Floats) -> Floats:
         done = raw.copy()
         for name, (c, offset, scale) in cubics.items():
-            moved, there = (_cubic(c, t, low, high, _REFERENCE) * np.float32(1e-6) for t in (temperature_c, at))
+            moved, there = (_cubic(c, t, low, high, _REFERENCE) * _F(1e-6) for t in (temperature_c, at))
             k = SIGNALS.index(name)
-            done[:, k] = (raw[:, k] - (moved - there + np.float32(offset))) * scale
+            done[k] = (raw[k] - (moved - there + _F(offset))) * scale
         return done
 
     words = (
         "sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS; accelerometers "
         "also times SCAL, which is that of the middle of the temperature range"
     )
-    text = "".join(f"{name} {_single(value)}\n" for name, value in parameters.items())
+    text = "".join(f"{name} {np.float32(value):.9g}\n" for name, value in parameters.items())
     return Export(text, losses_of(calibration, SIGNALS, corrected), _notes(calibration, low, high, words))
 
 
@@ -127,11 +123,11 @@ def px4(calibration: Calibration, number: int, identity: int | None) -> Export:
         done = raw.copy()
         for name, b in cubics.items():
             # Between two updates, the temperature changes by 1 °C.
-            done[:, SIGNALS.index(name)] -= _cubic(b, np.floor(temperature_c), low, high, about)
+            done[SIGNALS.index(name)] -= _cubic(b, np.floor(temperature_c), low, high, about)
         return done
 
     lines = [f"1\t1\t{name}\t{value}\t6\n" for name, value in switches.items()]
-    lines += [f"1\t1\t{name}\t{_single(value)}\t9\n" for name, value in parameters.items()]
+    lines += [f"1\t1\t{name}\t{np.float32(value):.9g}\t9\n" for name, value in parameters.items()]
     notes = [
         "offsets CAL_GYRO and CAL_ACC must be zero; corrected = R (raw - offset), offset = X0 + X1 d + X2 d^2 + X3 d^3"
     ]

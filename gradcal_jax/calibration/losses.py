@@ -17,7 +17,7 @@ from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
 TargetFunction = Callable[[Floats, Floats], Floats]
-"""What a target computes: from readings `(n, inputs)` and temperatures `(n,)`, °C, true inputs."""
+"""What a target computes: from readings `(inputs, n)` and temperatures `(n,)`, °C, true inputs."""
 
 
 _PER_MINUTE = 1.0 / 60.0  # K/s
@@ -47,10 +47,10 @@ class Export(NamedTuple):
 
 
 def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: TargetFunction) -> tuple[Loss, ...]:
-    """The largest differences that a target leaves, by channel and condition; `inputs`: the columns of its readings."""
+    """The largest differences that a target leaves, by channel and condition; `inputs`: those of its readings."""
     at, true = within_ranges(calibration, inputs, _POINTS)
     warm = np.linspace(*calibration.valid_temperature, _TEMPERATURES)
-    still = np.zeros((_TEMPERATURES, len(inputs)))
+    still = np.zeros((len(inputs), _TEMPERATURES))
 
     def left(temperature: Floats, true: Floats, slope: float = 0.0) -> Floats:
         return corrected(readings(calibration, inputs, temperature, true, slope), temperature) - true
@@ -69,27 +69,27 @@ def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: Target
             ("within the ranges of rates and forces", moving, PPM / (largest or np.inf), f"ppm of {of}"),
             ("while the temperature changes", warming, factor, f"{unit} at 1 K/min"),
         ):
-            size = float(np.max(np.abs(values[:, inputs.index(channel.input)])))
+            size = float(np.max(np.abs(values[inputs.index(channel.input)])))
             if size > _NOTHING and scale > 0.0:  # (data at rest cover no rates)
                 losses.append(Loss(channel.label, what, size * scale, words))
     return tuple(losses)
 
 
 def within_ranges(calibration: Calibration, inputs: Sequence[str], count: int) -> tuple[Floats, Floats]:
-    """Temperatures `(count,)` and true inputs `(count, inputs)` drawn within the ranges of the data, and ±1 g."""
+    """Temperatures `(count,)` and true inputs `(inputs, count)` drawn within the ranges of the data, and ±1 g."""
     rng = np.random.default_rng(0)
     at = rng.uniform(*calibration.valid_temperature, count)
     ranges = {name: calibration.valid_rate if "rate" in name else (-G, G) for name in inputs}
     ranges |= {channel.input: channel.valid_rate for channel in calibration.channel if channel.kind == "gyro"}
     lowest, highest = np.array([ranges[name] for name in inputs]).T
-    return at, rng.uniform(lowest, highest, (count, len(inputs)))
+    return at, rng.uniform(lowest, highest, (count, len(inputs))).T
 
 
 def readings(
     calibration: Calibration, inputs: Sequence[str], temperature_c: Floats, true: Floats, slope: float = 0.0
 ) -> Floats:
-    """What the sensor reads `(n, inputs)` for true inputs, while the temperature changes by `slope` (K/s)."""
+    """What the sensor reads `(inputs, n)` for true inputs, while the temperature changes by `slope` (K/s)."""
     own = [temperature_c - slope * float(channel.thermal_lag or 0.0) for channel in calibration.channel]
     of_sensor = equation(calibration.channel, [*inputs, TEMPERATURE_RATE], own)
-    errors = of_sensor.errors(np.vstack([true.T, np.full(len(true), slope)]))
-    return true + errors[:-1].T
+    errors = of_sensor.errors(np.vstack([true, np.full_like(temperature_c, slope)]))
+    return true + errors[:-1]

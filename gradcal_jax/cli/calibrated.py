@@ -50,7 +50,7 @@ def apply(
 
     content = read_calibration(calibration)
     writable(output, force)
-    recorded = load(log, columns, rows, unit=unit)
+    recorded = _not_corrected(load(log, columns, rows, unit=unit), log)
     number = _unit(recorded, content.serial_number, unit)
     corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
@@ -96,7 +96,7 @@ def validate(
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     weight = G if gravity is None else quantity(gravity, "acceleration", "--gravity")
     content = read_calibration(calibration)
-    recorded = load(log, columns, rows, unit=unit)
+    recorded = _not_corrected(load(log, columns, rows, unit=unit), log)
     use_float64()
     from gradcal_jax.estimation import validation as work
 
@@ -172,6 +172,13 @@ def export(
         return 0
     record = {"text": done.text, "losses": [loss._asdict() for loss in done.losses], "notes": done.notes}
     return show(f"{words}\nwrote {output}", record, json=json)
+
+
+def _not_corrected(log: "Log", path: Path) -> "Log":
+    """The log, if no calibration was applied to it. Raises `ValueError` otherwise: it would be corrected twice."""
+    if (by := log.provenance.get("corrected")) is not None:
+        raise ValueError(f"{path} is already corrected, {by}: name the log as it was recorded")
+    return log
 
 
 def _unit(log: "Log", serial_number: str, unit: str | None) -> str | int:

@@ -20,7 +20,10 @@ from calibration_samples import (
 
 from gradcal_jax.calibration.correction import apply, correct
 from gradcal_jax.calibration.equation import map_of
+from gradcal_jax.calibration.file import write_calibration
+from gradcal_jax.cli import main
 from gradcal_jax.records.log import Log, LogError, Reason
+from gradcal_jax.records.log_file import write_log
 
 
 def log_of(calibration, rows=500, seed=0, **more):
@@ -63,8 +66,8 @@ def test_bins_jump_and_are_solved_within_the_jump():
     found = of(axis("x", rate=BINS_W))
     truth = np.radians(np.linspace(-290.0, 290.0, 401))
     at = np.full_like(truth, 33.0)
-    solved = correct(found.channel, {"rate x": gyro(found, truth, at)}, at)["rate x"]
-    np.testing.assert_allclose(solved, truth, atol=1e-4)
+    solved = correct(found.channel, ["rate x"], gyro(found, truth, at)[None], at)
+    np.testing.assert_allclose(solved[0], truth, atol=1e-4)
 
 
 def test_outside_its_range_the_edge_holds_and_is_counted():
@@ -90,7 +93,7 @@ def test_a_signal_between_bars_counts_by_its_size():
     truth = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
     at = np.full_like(truth, 33.0)
     said = gyro(of(axis("x")), truth, at) + 2e-3 * np.abs(truth)
-    np.testing.assert_allclose(correct(found.channel, {"rate x": said}, at)["rate x"], truth, atol=1e-14)
+    np.testing.assert_allclose(correct(found.channel, ["rate x"], said[None], at)[0], truth, atol=1e-14)
 
 
 def test_masked_rows_stay_masked_and_missing_temperatures_are_bridged():
@@ -143,6 +146,18 @@ def test_a_log_that_does_not_fit_is_a_sentence():
         apply(calibration_of(a_truth()), without)
 
 
+def test_a_corrected_log_is_not_corrected_again(tmp_path, capsys):
+    log, _ = log_of(WHOLE, 50)
+    calibration, raw, done = (str(tmp_path / name) for name in ("cal.toml", "raw.nc", "done.nc"))
+    write_calibration(WHOLE, calibration)
+    write_log(log, raw)
+    assert main(["apply", calibration, raw, "-o", done]) == 0
+    for command in (["apply", calibration, done, "-o", str(tmp_path / "twice.nc")], ["validate", calibration, done]):
+        assert main(command) == 2
+        assert "done.nc is already corrected, by the calibration of SN-7" in capsys.readouterr().err
+    assert not (tmp_path / "twice.nc").exists()
+
+
 def test_a_log_may_have_fewer_channels_where_none_depends_on_another():
     found = WHOLE
     log, truth = log_of(found, 50)
@@ -155,4 +170,4 @@ def test_a_map_too_steep_to_invert_is_refused():
     terms["term"][1]["coefficients"]["b10"] = -3.0
     steep = of(terms)
     with pytest.raises(ValueError, match="gyro x is too steep"):
-        correct(steep.channel, {"rate x": np.radians(np.linspace(-300, 300, 61))}, np.full(61, 70.0))
+        correct(steep.channel, ["rate x"], np.radians(np.linspace(-300, 300, 61))[None], np.full(61, 70.0))

@@ -15,7 +15,7 @@ from controllers import TAKEN_OFF, parameters_of
 
 from gradcal_jax.calibration.c_header import Header
 from gradcal_jax.calibration.correction import correct
-from gradcal_jax.calibration.equation import map_of
+from gradcal_jax.calibration.equation import SIGNALS, map_of
 from gradcal_jax.calibration.exports import FORMATS, export, linear_at
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.spec import presets
@@ -141,7 +141,7 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     subprocess.run(["cc", *strict, "main.c", "-o", "main"], cwd=tmp_path, check=True)
     log, *_ = readings(a_truth(), 200)
     read = np.concatenate([log.rate_rad_per_s[0], log.specific_force_m_per_s2[0]], axis=1)
-    known = dict(zip([f"{kind} {a}" for kind in ("rate", "force") for a in "xyz"], read.T, strict=True))
+    known = dict(zip(SIGNALS, read.T, strict=True))
     header = Header(calibration)
     inputs = header.inputs
     said = np.float32(np.stack([known[name] for name in inputs], axis=1)).astype(float)
@@ -150,10 +150,10 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
     ran = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, "the header's own self-test failed"
     out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
-    assert largest(out - header.corrected(said, temperature)) < 1e-5
-    exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
+    assert largest(out - header.corrected(said.T, temperature).T) < 1e-5
+    exact = correct(calibration.channel, inputs, said.T, temperature)
     for channel in calibration.channel:
-        off = largest(out[:, inputs.index(channel.input)] - exact[channel.input])
+        off = largest(out[:, inputs.index(channel.input)] - exact[inputs.index(channel.input)])
         stated = next(one for one in done.losses if (one.channel, one.what) == (channel.label, MOVING))
         full_scale = np.radians(300.0) if channel.kind == "gyro" else G
         assert off / full_scale * 1e6 < 2.0 * stated.value + 0.5
@@ -212,8 +212,8 @@ def test_the_header_takes_the_rounds_that_large_errors_need():
     assert int(re.search(r"round < (\d+)", done.text)[1]) == header.rounds > 6
     assert loss(done, "gyro x", "at rest") < 0.2
     truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
-    last = header.corrected(gyro(large, truth, at)[:, None], at)
-    assert largest(last[:, 0] - truth) < 2e-6
+    last = header.corrected(gyro(large, truth, at)[None], at)
+    assert largest(last[0] - truth) < 2e-6
 
 
 def test_what_a_target_cannot_take_is_a_sentence():

@@ -121,7 +121,7 @@ def stamped(report: Report, text: str, seconds: float) -> str:
 
 def make(report: Report) -> bool:
     """Run the report's proofs and stamp it; False, without a stamp, if a proof failed."""
-    words = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "load", "-m", "evidence", *report.tests]
+    words = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "worksteal", "-m", "evidence", *report.tests]
     if report.tests[0].startswith("experiments"):
         words = [sys.executable, *report.tests]
     if report.name == "proofs":

@@ -106,16 +106,16 @@ FAULTS = (
     ),
     Fault(
         "an absolute signal keeps its sign in a correction",
-        "calibration/correction.py",
-        'product = product * (np.abs(signal) if name.startswith("|") else signal)',
-        "product = product * signal",
+        "calibration/equation.py",
+        "error = error * (np.abs(signal) if number < 0 else signal)",
+        "error = error * signal",
         "tests/calibration/test_correction.py",
     ),
     Fault(
         "a map is extrapolated beyond the rates of its data",
-        "calibration/correction.py",
-        "own = np.clip(sensed, *channel.valid_rate)",
-        "own = sensed",
+        "calibration/equation.py",
+        "error = value(clipped(along[of], channel.valid_rate))",
+        "error = value(along[of])",
         "tests/calibration/test_correction.py",
     ),
     Fault(
@@ -135,8 +135,8 @@ FAULTS = (
     Fault(
         "the work of a killed worker is left out of a sweep",
         "sweeps/sweep.py",
-        "waiting.extendleft([key] if tries[key] < _TRIES else [])",
-        "waiting.extendleft([])",
+        "waiting.appendleft(key)",
+        "pass",
         "tests/sweeps/test_sweep.py",
     ),
     Fault(

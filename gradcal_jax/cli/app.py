@@ -120,7 +120,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return WRONG_INPUT
     except Exception as error:
         if type(error).__module__.startswith("cyclopts"):
-            complain(f"{error}\nSee gradcal --help.")
+            complain(_of_command_line(error))
             return WRONG_INPUT
         # A device or a run can have failed only where a command has loaded the hardware package.
         errors = sys.modules.get("gradcal_jax.hardware.errors")
@@ -153,6 +153,15 @@ def _wide(tokens: Sequence[str]) -> Any:
     from rich.console import Console
 
     return Console(width=120, no_color=True, soft_wrap=True)
+
+
+def _of_command_line(error: Any) -> str:
+    """What is wrong with a command line, and where its options are listed."""
+    command = " ".join(["gradcal", *(error.command_chain or ())])
+    text = str(error)
+    if type(error).__name__ == "MissingArgumentError":
+        text = f"the value of {error.keyword} is missing" if error.keyword else f"{error.argument.name} is missing"
+    return f"{text}\nSee {command} --help."
 
 
 def _sentence(error: Exception) -> str:

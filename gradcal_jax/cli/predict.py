@@ -160,6 +160,9 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     lines.append(Table.of(["requirement", "no plan leaves less than", "this plan leaves", "efficiency"], cells).text())
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):
         lines.append("the limit is for all plans that keep: " + "; ".join(kept))
-    for relaxed in dict.fromkeys(row.relaxed for row in rows):
-        lines.append("the proof ignores or relaxes: " + "; ".join(relaxed))
+    ways = dict.fromkeys(row.relaxed for row in rows)
+    for relaxed in ways:
+        names = ", ".join(row.name for row in rows if row.relaxed == relaxed)
+        of = f" for {names}" if len(ways) > 1 else ""
+        lines.append(f"the proof{of} ignores or relaxes: " + "; ".join(relaxed))
     return show("\n".join(lines), [row._asdict() for row in rows], json=json)

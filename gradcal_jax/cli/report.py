@@ -45,6 +45,8 @@ def report(
 
     if not certificate and (rig is not None or number or customer):
         raise ValueError("--rig, --number and --customer belong to --certificate")
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{output}: the name of a page must end in .html; a browser prints it, or saves it as a PDF")
     writable(output, force)
     documents = read_sources(sources)
     use_float64()

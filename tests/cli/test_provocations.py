@@ -60,6 +60,21 @@ sweep missing.toml -o x.nc | sweep good.toml -o x.nc --workers 0 | demo -o good.
 CASES = [case.strip() for line in ARGUMENTS.strip().splitlines() for case in line.split("|")]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("report -o x.html", "gradcal: SOURCES is missing\nSee gradcal report --help."),
+        ("predict good.toml --plot", "gradcal: the value of --plot is missing\nSee gradcal predict --help."),
+        ("rig chek", "See gradcal rig --help."),
+        ("report good.toml -o x.pdf", "the name of a page must end in .html"),
+    ],
+)
+def test_a_wrong_command_line_is_told_what_to_write(arguments, said, folder, capsys):
+    assert main(arguments.split()) == 2
+    assert said in capsys.readouterr().err
+    assert not Path("x.pdf").exists()
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_arguments(case, folder, capsys):
     judged(main(case.split()), capsys.readouterr().err)

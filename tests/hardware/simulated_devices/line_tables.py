@@ -12,10 +12,10 @@ _FRICTION_DPS2 = 20.0  # alone slows what has no power
 class SimulatedGrbl:
     """The X axis of a board. With its homing cycle on it begins, always anew, in ALARM, and takes nothing but $H, $X
     and questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; jogs queue;
-    $ settings are taken only when idle."""
+    $ settings are taken only when idle. With an encoder it tells what that reads, and counts steps otherwise."""
 
-    def __init__(self, plant, clock):
-        self.plant = plant
+    def __init__(self, plant, clock, *, has_encoder=False):
+        self.plant, self.has_encoder = plant, has_encoder
         self._clock = clock
         self._buffer = b""
         self.settings = {13: 0.0, 22: 1.0, 100: 250.0, 110: 21600.0, 120: 300.0, 130: 36000.0, 27: 1.0, 25: 3600.0}
@@ -110,7 +110,8 @@ class SimulatedGrbl:
             return []
         now = self._now()
         rate = abs(self.plant.state(now)[1]) * 60.0
-        return [f"<{self._state}|MPos:{self._counted(now):.3f},0.000,0.000|FS:{rate:.0f},0>\r\n".encode()]
+        angle = self.plant.reading(now) - self._zero_deg if self.has_encoder else self._counted(now)
+        return [f"<{self._state}|MPos:{angle:.3f},0.000,0.000|FS:{rate:.0f},0>\r\n".encode()]
 
     def _cancel_jog(self):
         now = self._now()

@@ -59,8 +59,8 @@ class SimulatedLab(lab.SimulatedLab):
 
 
 def board_of(plant, clock):
-    """A board that accepts the rates of a rate table."""
-    board = SimulatedGrbl(plant, clock)
+    """A board that accepts the rates of a rate table, with the encoder that the spec's table has."""
+    board = SimulatedGrbl(plant, clock, has_encoder=True)
     board.settings[110] = 360_000.0
     return board
 

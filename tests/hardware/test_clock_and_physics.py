@@ -99,10 +99,11 @@ def test_a_hand_turns_unevenly_and_ends_in_time():
     times = np.linspace(5.0, 35.0, 3001)
     rates = np.array([plant.state(time)[1] for time in times])
     angles = plant.position(times)
-    assert (angles[0], angles[-1], plant.moving(34.9), plant.moving(35.1)) == (10.0, -710.0, True, False)
+    assert (plant.moving(34.9), plant.moving(35.1)) == (True, False)
+    np.testing.assert_allclose(angles[[0, -1]], [10.0, -710.0], rtol=1e-12)
     np.testing.assert_allclose(np.gradient(angles, times)[1:-1], rates[1:-1], atol=0.1)
     # From rest to rest without a reversal, with a peak of 2.4 times the mean, in the first half.
-    assert rates.max() <= 0.0
+    assert rates.max() < 1e-9
     assert rates.min() == pytest.approx(-2.4 * 24.0, rel=0.02)
     assert rates[1200] < 1.5 * rates[1800]
 
